@@ -63,7 +63,14 @@ def digest(*paths: Path, text: str = "") -> str:
 
 
 def check_folder(folder: Path) -> None:
-    """Raise SetupError for a folder that holds something else than an environment."""
+    """Raise SetupError for a folder that holds something else than an environment, or that the
+    build of messages cannot use."""
+    if not str(folder).isascii():
+        raise SetupError(
+            f"CMake cannot build ROS messages in {folder}, whose name has letters beyond a to z "
+            "(ASCII): name another folder, as in make setup ENV=/tmp/finger_env (setup_env.py: "
+            "--env)."
+        )
     if folder.is_dir() and not any(folder.iterdir()):
         return
     if folder.exists() and not (folder / "pyvenv.cfg").is_file():

@@ -13,6 +13,8 @@ from types import ModuleType
 
 import pytest
 
+from finger_bringup import nodes
+
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = sorted(p.parent.name for p in ROOT.glob("src/*/package.xml"))
 PYTHON = sorted(p.parent.name for p in ROOT.glob("src/*/setup.py"))
@@ -86,7 +88,7 @@ def libraries(package: str) -> set[str]:
 
 
 def suite(package: str) -> set[str]:
-    """Python packages of the suite that a package imports."""
+    """Python packages of the suite that a package imports, or whose nodes it starts."""
     files = (ROOT / "src" / package / package).rglob("*.py")
     found = set(
         re.findall(
@@ -95,6 +97,8 @@ def suite(package: str) -> set[str]:
             re.MULTILINE,
         )
     )
+    if package == "finger_bringup":
+        found |= {entry.package for entry in nodes.NODES.values()}
     return found & set(PYTHON) - {package}
 
 

@@ -86,6 +86,19 @@ def test_a_folder_that_is_no_environment_is_left_as_it_is(
     assert [file.name for file in tmp_path.iterdir()] == ["thesis.tex"]
 
 
+def test_a_folder_whose_name_the_build_cannot_use_is_refused_by_make_at_once(
+    project_root: Path, tmp_path: Path
+) -> None:
+    """CMake's macros of ROS messages fail there, minutes later; a blank is fine."""
+    folder = tmp_path / "Müller"
+    done = subprocess.run(
+        ["make", "setup", f"ENV={folder}"], cwd=project_root, capture_output=True, text=True
+    )
+    said = done.stderr.splitlines()[0]
+    assert done.returncode == 2 and not folder.exists()
+    assert said.startswith("setup: CMake cannot build") and "make setup ENV=/" in said
+
+
 def test_the_image_has_the_versions_that_apt_s_ros_needs(project_root: Path) -> None:
     """As the README names them."""
     pins = re.compile(r'"[a-z-]+<[0-9.]+"')

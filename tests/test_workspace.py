@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import configparser
 import re
 import subprocess
 import xml.etree.ElementTree as ElementTree
@@ -34,7 +35,6 @@ LAYERS = {
         "finger_vision",
         "finger_model",
         "finger_bag",
-        "finger_offline",
     },
     "finger_bringup": {
         "finger_common",
@@ -204,6 +204,20 @@ def test_package_xml_names_every_ros_package_imported(project_root: Path) -> Non
             if top != package and (ROS.match(top) or top in LAYERS) and top not in named:
                 wrong.append(f"{package}: {file.name}:{line} imports {top}, not in package.xml")
     assert not wrong, "\n".join(sorted(set(wrong)))
+
+
+@pytest.mark.parametrize("package", sorted(LAYERS))
+def test_pip_installs_the_same_packages_of_the_suite_as_rosdep(
+    project_root: Path, package: str
+) -> None:
+    """finger_msgs, which CMake builds, is no package of pip's."""
+    folder = project_root / "src" / package
+    xml = ElementTree.parse(folder / "package.xml")
+    named = {e.text for e in xml.getroot() if e.tag in ("depend", "exec_depend")}
+    setup = configparser.ConfigParser()
+    setup.read(folder / "setup.cfg")
+    required = set(setup["options"]["install_requires"].split())
+    assert required & set(LAYERS) == named & set(LAYERS)
 
 
 def test_versions_agree(project_root: Path) -> None:

@@ -15,7 +15,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
@@ -28,6 +27,7 @@ from finger_common.cli import (
     run,
     settings_from,
 )
+from finger_common.console import Console
 from finger_common.errors import InputError, listed
 from finger_common.files import exists
 from finger_common.plugins import Plugins
@@ -45,10 +45,6 @@ COMMANDS = Plugins("finger_bag.commands", "subcommand")
 
 AddCommand = Callable[[str, Callable[[argparse.Namespace], int], str, str], argparse.ArgumentParser]
 """Adds a subcommand: name, what runs it, one sentence about it, example; gives its parser."""
-
-
-def _console() -> Console:
-    return Console(width=None if sys.stdout.isatty() else 160, highlight=False)
 
 
 # info ----------------------------------------------------------------------------------------
@@ -96,7 +92,7 @@ def _info(args: argparse.Namespace) -> int:
 
 
 def _print_info(data: dict[str, Any]) -> None:
-    console = _console()
+    console = Console()
     size = f"  ({data['storage']}, {data['size'] / 1e6:.1f} MB)"
     console.print(Text.assemble((plain(data["bag"]), "bold"), size))
     if data["start_ns"] is not None:
@@ -145,7 +141,7 @@ def _validate(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps([r.to_data() for r in results], indent=1))
     else:
-        console = _console()
+        console = Console()
         colours = {"ok": "green", "note": "yellow", "fail": "red"}
         for result in results:
             title = Text(plain(" ".join(filter(None, (result.bag, result.namespace)))))

@@ -302,6 +302,18 @@ def _warn(chosen: Sequence[nodes.NodeEntry], namespace: str, file: ParameterFile
             print(f"finger-rig: {sentence}", file=sys.stderr)
 
 
+def reach_line() -> str:
+    """Who receives the topics: what to print where other computers do, else ""."""
+    # rcl keeps to this computer with all other values, too.
+    wide = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "") in ("", "SUBNET", "SYSTEM_DEFAULT")
+    if not wide or os.environ.get("ROS_LOCALHOST_ONLY") == "1":
+        return ""
+    return (
+        "topics, images of prints among them, reach the local network; "
+        "ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST keeps them on this computer"
+    )
+
+
 class ReadyLine:
     """Finds in the nodes' output that all are ready, and where their pages are.
 
@@ -345,6 +357,9 @@ def _up(arguments: argparse.Namespace) -> int:
     )
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     ready = ReadyLine(sum(entry.name == "page" for entry in chosen))
+    reach = reach_line()
+    if reach:
+        print(f"finger-rig: {reach}", flush=True)
 
     def line(name: str, text: str) -> None:
         supervisor.show(name, text)

@@ -14,7 +14,7 @@ import pytest
 import yaml
 
 from finger_bag.writer import BagWriter
-from finger_bringup import nodes
+from finger_bringup import cli, nodes
 from finger_bringup.bring_up import ALL_ACTIVE
 from finger_bringup.cli import ReadyLine, entries, folder_of, main, namespace_of, parser
 from finger_bringup.parameter_files import NO_PARAMETER_FILE, ParameterFile, matches
@@ -269,6 +269,34 @@ def test_a_second_rig_on_a_folder_is_refused(
         assert main(["up", "--nodes", "page", "--folder", str(tmp_path)]) == 2
     error = capsys.readouterr().err
     assert f"{tmp_path}: in use by a rig (process {os.getpid()}); end it, or choose" in error
+
+
+@pytest.mark.parametrize(
+    ("discovery", "localhost_only", "wide"),
+    [
+        ("", "", True),
+        ("SUBNET", "0", True),
+        ("SYSTEM_DEFAULT", "", True),
+        ("LOCALHOST", "", False),
+        ("OFF", "", False),
+        ("SUBNET", "1", False),
+    ],
+)
+def test_a_rig_whose_topics_reach_other_computers_says_so_at_its_start(
+    discovery: str,
+    localhost_only: str,
+    wide: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", discovery)
+    monkeypatch.setenv("ROS_LOCALHOST_ONLY", localhost_only)
+    monkeypatch.setattr(cli, "run_until_interrupted", lambda supervisor: True)
+    assert main(["up", "--nodes", "page", "--folder", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert said.count("reach the local network") == wide
+    assert said.count("ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST") == said.count("\n") == wide
 
 
 def test_the_ready_line_comes_once_all_are_active_and_the_page_is_served() -> None:

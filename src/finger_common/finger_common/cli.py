@@ -215,7 +215,13 @@ def run(
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # file names need not be text
     try:
-        return main(argv) or 0
+        try:
+            code = main(argv) or 0
+        except SystemExit:  # of --help
+            print(end="", flush=True)
+            raise
+        print(end="", flush=True)  # here, where an error of it is caught
+        return code
     except FingerError as error:
         print(f"{name}: {one_line(error)}", file=sys.stderr)
         return EXIT_BAD_INPUT

@@ -47,6 +47,32 @@ def test_misspelt_options_and_names_get_the_one_that_was_meant(
     assert done.returncode == 2 and done.stderr.strip().endswith(says), done.stderr
 
 
+PRINTING = """\
+import sys
+from finger_common.cli import Parser, run
+from finger_common.console import Console
+def command(argv):
+    Parser(prog="tool").parse_args(argv[1:])
+    print("a line") if argv[0] == "line" else Console().print("a table")
+sys.exit(run(command, sys.argv[1:]))
+"""
+
+
+@pytest.mark.parametrize("arguments", [["table"], ["line"], ["line", "--help"]])
+def test_a_pipe_that_nobody_reads_any_more_is_no_error(arguments: list[str]) -> None:
+    """As in `finger-bag info BAG | head -1`."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    with open(writing, "w") as pipe:
+        done = subprocess.run(
+            [sys.executable, "-c", PRINTING, *arguments],
+            stdout=pipe,
+            stderr=subprocess.PIPE,
+            timeout=60,
+        )
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
 def test_an_option_like_no_other_gets_no_guess(capsys: pytest.CaptureFixture[str]) -> None:
     parser = Parser(prog="tool")
     parser.add_argument("--simulated", action="store_true")

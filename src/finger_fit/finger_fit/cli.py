@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
@@ -26,15 +25,13 @@ from finger_common.cli import (
     run,
     settings_from,
 )
+from finger_common.console import Console
 from finger_common.errors import InputError
 from finger_common.progress import Stages
 from finger_model.finger import load_areas
 
-from .design.command import command as design_command
-from .hierarchy.command import command as population_command
 from .nuisance_names import name_of
 from .options import FitOptions
-from .report import find_browser, write_pdf
 from .report_units import MM4, three_digits
 from .results import FitResult
 from .study import fit_bags, reading
@@ -136,8 +133,14 @@ def summary(result: FitResult) -> Table:
 def command(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns the exit code."""
     given = list(sys.argv[1:] if argv is None else argv)
-    if given[:1] in (["design"], ["population"]):
-        return {"design": design_command, "population": population_command}[given[0]](given[1:])
+    if given[:1] == ["design"]:
+        from .design.command import command as design_command
+
+        return design_command(given[1:])
+    if given[:1] == ["population"]:
+        from .hierarchy.command import command as population_command
+
+        return population_command(given[1:])
     args = parser().parse_args(given)
     options = settings_from(args, FitOptions)
     for bag in args.bags:
@@ -152,15 +155,18 @@ def command(argv: Sequence[str] | None = None) -> int:
         calibration=args.calibration or "",
         area_per_pixel=args.area_per_pixel,
     )
-    # Before the fit, which is long.
-    browser = find_browser() if args.pdf else ""
+    browser = ""
+    if args.pdf:
+        from .report import find_browser, write_pdf
+
+        browser = find_browser()  # before the fit, which is long
     model = load_areas(args.model or "", args.geometry, args.law)
     with Screen(args.quiet) as screen:
         result = fit_bags(
             args.bags, options, args.output, args.condition, model, screen, settings,
             shlex.join(["finger-fit", *given]),
         )  # fmt: skip
-    console = Console(width=None if sys.stdout.isatty() else 160)
+    console = Console()
     console.print(summary(result))
     for note in result.problems:
         print(f"note: {plain(note)}")

@@ -552,6 +552,17 @@ def test_importing_needs_no_ros() -> None:
     assert done.stdout.split() == ["Trial", "fit"]
 
 
+def test_help_does_not_wait_for_imports_that_only_a_fit_needs() -> None:
+    """Each of these takes a quarter of a second or more."""
+    needless = ("cma", "pymoo", "matplotlib", "scipy.signal", "scipy.stats")
+    code = (
+        "import sys\nfrom finger_fit.cli import command\n"
+        "try:\n    command(['--help'])\nexcept SystemExit:\n"
+        f"    assert not [n for n in {needless} if n in sys.modules], sys.modules.keys()"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, stdout=subprocess.DEVNULL)
+
+
 def test_a_parameter_that_may_be_zero_is_fitted_with_intervals(tmp_path: Path) -> None:
     """Stiffening of 0, as of the tissue here, has no logarithm: its coordinate is ln(b + 0.1)."""
     tissue = law_of("generalized_maxwell_1")(

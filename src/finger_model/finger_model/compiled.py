@@ -6,16 +6,21 @@
 Kernels work on arrays of records with named fields. Compiled code has the fields as attributes of
 a record. numpy's own records do not, so kernels get thin views of the arrays here.
 
-numba keeps compiled kernels beside their sources, and compiles one anew when its own file changes,
-but not when a file does whose kernels or constants it holds. `forget_stale_kernels` mends that.
+numba keeps compiled kernels beside their sources, or in another folder where it cannot. It compiles
+one anew when its own file changes, but not when a file does whose kernels or constants it holds.
+`keep_kernels` mends that for both.
 """
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import functools
+import hashlib
 import os
+import shutil
 import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -29,34 +34,65 @@ WITHOUT_KERNELS = ("commands", "verification")
 """Folders that no kernel is in."""
 
 
-def forget_stale_kernels(package: Path, *others: str) -> None:
-    """Remove a package's compiled kernels when a source that may be in them has changed since.
+def keep_kernels(package: Path, *others: str) -> None:
+    """Choose the folder of a package's compiled kernels, and leave no stale ones in it.
 
-    Any in the package's folders may be, but for commands and verification, and the files `others`.
-    They are compared with a list that is kept of them, not with the age of the kernels: a rig may
-    start without knowing the time. Kernels that numba keeps elsewhere, since the package's folder
-    is read-only, are left, and a process that runs since before the change may still add old ones.
+    Kernels may hold what any source of the package says, but for commands and verification, and
+    what the files `others` say. They are kept beside the sources. Where that is impossible, or
+    NUMBA_CACHE_DIR names a folder, they are kept in a folder named by the contents of the sources,
+    so that kernels of other sources are never found there. Contents count, not times: a rig may
+    start without knowing the time. A process that runs since before a change of sources may still
+    add old kernels beside them.
     """
+    found = (f for f in package.rglob("*.py") if f.parent.name not in WITHOUT_KERNELS)
+    files = sorted(f for f in [*found, *map(Path, others)] if f.is_file())
+    sources = hashlib.sha256(b"".join(f.read_bytes() for f in files)).hexdigest()
+    chosen = config.CACHE_DIR  # type: ignore[attr-defined]
+    if not chosen and all(writable(f / "__pycache__") for f in {f.parent for f in files}):
+        _forget_stale_kernels(package, sources)
+        return
+    cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    for folder in (chosen, os.path.join(cache, "finger_model")):
+        # "~" stays where the user has no home.
+        if folder and not folder.startswith("~") and writable(Path(folder, sources)):
+            break
+    else:
+        folder = tempfile.mkdtemp(prefix="finger_model-")
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+        os.environ["NUMBA_CACHE_DIR"] = folder  # of child processes, too
+        config.reload_config()
+        print(
+            f"finger_model: neither {package} nor {cache} can be written, so kernels are "
+            "compiled anew, for a minute, and not kept; NUMBA_CACHE_DIR names another folder",
+            file=sys.stderr,
+        )
+    config.CACHE_DIR = os.path.join(folder, sources)  # type: ignore[attr-defined]
+
+
+def writable(folder: Path) -> bool:
+    """Whether files can be made in a folder, which is made where it is missing."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError:
+        return False
+    return True
+
+
+def _forget_stale_kernels(package: Path, sources: str) -> None:
     kept = package / "__pycache__" / "sources_of_kernels.txt"
-    # A folder may be read-only, and another process do the same.
-    with contextlib.suppress(OSError):
-        files = [f for f in package.glob("*/*.py") if f.parent.name not in WITHOUT_KERNELS]
-        names = sorted([*map(str, files), *others])
-        stats = map(os.stat, names)
-        text = "\n".join(f"{f} {s.st_mtime_ns} {s.st_size}" for f, s in zip(names, stats))
-        sources = os.fsencode(text)
-        if not kept.exists() or kept.read_bytes() != sources:
-            for kernel in package.glob("*/__pycache__/*.nb[ic]"):
+    with contextlib.suppress(OSError):  # another process may do the same
+        if not kept.exists() or kept.read_text() != sources:
+            for kernel in package.rglob("*.nb[ic]"):
                 kernel.unlink(missing_ok=True)
-            kept.parent.mkdir(exist_ok=True)
-            with atomic_write(kept, "wb") as file:
+            with atomic_write(kept) as file:
                 file.write(sources)
 
 
 try:
-    from numba import njit, prange
+    from numba import config, njit, prange
 
-    forget_stale_kernels(Path(__file__).parent, contact_threshold.__file__, flags.__file__)
+    keep_kernels(Path(__file__).parent, contact_threshold.__file__, flags.__file__)
 except ImportError:
     print(
         "finger_model: numba is not installed; computing in plain Python, thousands of times "

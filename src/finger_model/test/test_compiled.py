@@ -1,18 +1,20 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Kernels that numba keeps beside their sources."""
+"""Kernels that numba keeps, beside their sources or elsewhere."""
 
 from __future__ import annotations
 
 import importlib
+import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from numba import config
 
-from finger_model.compiled import forget_stale_kernels
+from finger_model.compiled import keep_kernels
 
 INNER = "from numba import njit\n\n\n@njit(cache=True)\ndef inner():\n    return {}\n"
 OUTER = """
@@ -28,37 +30,103 @@ def outer():
 """
 
 
-def test_a_kernel_is_compiled_anew_when_one_that_it_calls_has_changed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    package, values = tmp_path / "package", tmp_path / "values.py"
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """A package that computes inner() + VALUE: 1.5."""
+    folder = tmp_path / "package"
+    for name in ("laws", "slip"):
+        (folder / name).mkdir(parents=True)
+    (folder / "slip" / "outer.py").write_text(OUTER)
+    (folder / "laws" / "inner.py").write_text(INNER.format("1.0"))
+    (tmp_path / "values.py").write_text("VALUE = 0.5\n")
+    return folder
+
+
+def make_read_only(package: Path) -> None:
+    """As for users without the right to write: nothing can be put into these folders."""
     for folder in ("laws", "slip"):
-        (package / folder).mkdir(parents=True)
-    (package / "slip" / "outer.py").write_text(OUTER)
+        (package / folder / "__pycache__").write_text("a file")
+
+
+@pytest.mark.parametrize("place", ["beside the sources", "the user's cache", "NUMBA_CACHE_DIR"])
+def test_a_kernel_is_compiled_anew_when_one_that_it_calls_has_changed(
+    place: str, package: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    values = tmp_path / "values.py"
     inner = package / "laws" / "inner.py"
     monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    chosen = str(tmp_path / "cache" / "chosen") if place == "NUMBA_CACHE_DIR" else ""
+    if place == "the user's cache":
+        make_read_only(package)
+    home = package if place == "beside the sources" else tmp_path / "cache"
 
     def computed() -> float:
         """As a program that starts now would compute."""
         for name in [n for n in sys.modules if n.split(".")[0] in ("package", "values")]:
             del sys.modules[name]
         importlib.invalidate_caches()
-        forget_stale_kernels(package, str(values))
+        monkeypatch.setattr(config, "CACHE_DIR", chosen)
+        keep_kernels(package, str(values))
         return float(importlib.import_module("package.slip.outer").outer())
 
-    inner.write_text(INNER.format("1.0"))
-    values.write_text("VALUE = 0.5\n")
     assert computed() == 1.5
-    kept = {f: f.stat().st_mtime_ns for f in package.glob("*/__pycache__/*.nbc")}
-    assert len(kept) == 2
+    kept = {f: f.stat().st_mtime_ns for f in tmp_path.rglob("*.nbc")}
+    assert len(kept) == 2 and all(home in f.parents for f in kept)
     assert computed() == 1.5
     assert kept == {f: f.stat().st_mtime_ns for f in kept}, "nothing changed: nothing is compiled"
     inner.write_text(INNER.format("20.0"))
     assert computed() == 20.5
     values.write_text("VALUE = 0.25\n")
     assert computed() == 20.25
-    (package / "__pycache__" / "sources_of_kernels.txt").unlink()
-    assert computed() == 20.25
+    if place == "beside the sources":
+        (package / "__pycache__" / "sources_of_kernels.txt").unlink()
+        assert computed() == 20.25
+
+
+def test_a_change_of_a_module_beside_the_folders_counts(package: Path) -> None:
+    """As finger_model/force_noise.py, whose kernels are in those of the estimator."""
+    keep_kernels(package)
+    kernel = package / "slip" / "__pycache__" / "outer.nbc"
+    kernel.touch()
+    (package / "force_noise.py").write_text(INNER.format("3.0"))
+    keep_kernels(package)
+    assert not kernel.exists()
+
+
+NOWHERE = """
+import os, subprocess, sys
+from pathlib import Path
+from numba import config
+from finger_model.compiled import keep_kernels
+
+config.CACHE_DIR = os.environ.get("NUMBA_CACHE_DIR", "")
+keep_kernels(Path("package"), "values.py")
+from package.slip.outer import outer
+
+print(outer(), config.CACHE_DIR, outer.stats.cache_hits or "compiled", flush=True)
+if len(sys.argv) == 1:
+    subprocess.run([sys.executable, __file__, "child"], check=True)
+"""
+
+
+def test_where_nothing_can_be_written_kernels_are_kept_for_the_process_and_its_children(
+    package: Path, tmp_path: Path
+) -> None:
+    make_read_only(package)
+    (tmp_path / "script.py").write_text(NOWHERE)
+    done = subprocess.run(
+        [sys.executable, tmp_path / "script.py"],
+        cwd=tmp_path,
+        env=os.environ | {"HOME": "/proc/none", "XDG_CACHE_HOME": ""},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    (own, folder, how), child = (line.split() for line in done.stdout.splitlines())
+    assert (own, how) == ("1.5", "compiled") and child[:2] == [own, folder]
+    assert child[2] != "compiled" and not Path(folder).parent.exists()
+    assert done.stderr.count("\n") == 1 and "can be written" in done.stderr
 
 
 CHANGES = """

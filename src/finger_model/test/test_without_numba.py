@@ -1,7 +1,7 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the estimator needs: numba for speed only, and little to import."""
+"""What the estimator needs: numba for speed only; what it and the command import: little."""
 
 from __future__ import annotations
 
@@ -61,3 +61,11 @@ def test_a_first_estimate_does_not_wait_for_imports_that_it_does_not_need() -> N
     needless = ("scipy.optimize", "scipy.stats", "scipy.sparse", "matplotlib", "meshio", "cv2")
     script = f"{SCRIPT}\nassert not [n for n in {needless} if n in sys.modules], sys.modules.keys()"
     subprocess.run([sys.executable, "-c", script, "compiled"], check=True)
+
+
+def test_help_does_not_wait_for_imports_that_it_does_not_need() -> None:
+    script = (
+        "import sys; from finger_model.cli import parser; parser()\n"
+        'assert not {"scipy.optimize", "scipy.sparse", "matplotlib"} & set(sys.modules)'
+    )
+    subprocess.run([sys.executable, "-c", script], check=True)

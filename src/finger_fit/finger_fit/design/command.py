@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
 from finger_common.cli import Parser, add_settings, plain, settings_from
+from finger_common.console import Console
 from finger_common.errors import InputError
 from finger_common.files import atomic_write
 from finger_model.finger import load_areas
@@ -150,7 +150,7 @@ def command(argv: Sequence[str]) -> int:
         raise InputError(f"--plan {twice}: the name is there twice; give each plan its own")
     plans = with_indentation(plans, priors.indentation_sd)
     found = {name: expected(plan, model, guess, options) for name, plan in plans.items()}
-    console = Console(width=None if Console().is_terminal else 160)
+    console = Console()
     console.print(_table(space, found, wanted))
     data: dict[str, Any] = {
         "guess": space.mapping(guess),

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from ..engine import Done
 from ..problem import FitProblem
@@ -31,7 +31,7 @@ class FullOrderCheck:
 
     AREA_LIMIT: ClassVar[float] = 0.01
     CHANGE_LIMIT: ClassVar[float] = 0.02
-    GAIN_LIMIT: ClassVar[float] = float(chi2.ppf(0.95, 1))
+    GAIN_LIMIT: ClassVar[float] = float(chdtri(1, 1.0 - 0.95))
 
     full_costs: np.ndarray
     areas: np.ndarray

@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from finger_common.cli import Parser, plain
+from finger_common.console import Console
 from finger_common.errors import InputError, known_names, listed
 from finger_common.files import atomic_write, load_json, number
 from finger_common.moisture import is_moisture
@@ -82,7 +82,7 @@ def command(argv: Sequence[str]) -> int:
             )
     subjects = read_subjects(args.fits)
     data, draws = population(subjects, quantities, space, args.seed)
-    console = Console(width=None if Console().is_terminal else 160)
+    console = Console()
     console.print(_table(space, data))
     for name, found in data["quantities"].items():
         for words in found["words"]:

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
 
 from finger_common.contact_threshold import contacts
 from finger_common.flags import AreaFlag
@@ -434,6 +433,8 @@ def low_passed(force: np.ndarray, rate: float, cutoff: float) -> np.ndarray:
     """
     if cutoff >= 0.5 * rate or len(force) < 16:
         return force
+    from scipy.signal import butter, sosfiltfilt  # half a second
+
     sections = butter(2, cutoff / (0.5 * rate), output="sos")
     return sosfiltfilt(sections, force)
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy.special import fdtrc, ndtri
 
 from ..results import ConditionFit
 
@@ -93,7 +93,7 @@ def _outliers(fit: ConditionFit) -> np.ndarray:
     gains = np.array([np.median(ratio[trial == t]) for t in range(len(problem))])
     left = measured - gains[trial] * fit.areas
     size = np.abs(left)
-    found = np.flatnonzero(size > OUTLYING * np.median(size) / stats.norm.ppf(0.75))
+    found = np.flatnonzero(size > OUTLYING * np.median(size) / ndtri(0.75))
     squares = left**2
     if len(found) > FEW * len(left) or 2.0 * squares[found].sum() < squares.sum():
         return np.zeros(0, dtype=int)
@@ -131,7 +131,7 @@ def _trend(fit: ConditionFit, left: np.ndarray) -> Trend | None:
         np.array([[force[p].min(), force[p].max()] for p, _ in parts]),
         np.array([side for _, side in parts]),
         np.array([m / problem.measured[p].mean() for m, (p, _) in zip(means, parts)]),
-        float(stats.f.sf(ratio, len(parts), degrees)),
+        float(fdtrc(len(parts), degrees, ratio)),
     )
 
 
@@ -145,6 +145,8 @@ def _by_duration(fit: ConditionFit, gains: np.ndarray) -> float:
     durations = np.array([t.time[int(np.argmax(t.force))] for t in fit.problem.trials])
     if len(gains) < 4 or not durations.min() > 0 or durations.max() < 1.2 * durations.min():
         return 0.0
-    found = stats.linregress(np.log(durations), np.log(gains))
+    from scipy.stats import linregress  # half a second
+
+    found = linregress(np.log(durations), np.log(gains))
     span = float(np.log(durations.max() / durations.min()))
     return float(found.slope) * span if found.pvalue < SIGNIFICANT else 0.0

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from finger_common.subject_code import may_be_one
 
@@ -171,7 +171,7 @@ class ConditionFit:
         data_sd = assumed_sd = math.nan
         if known is not None:
             data_sd, assumed_sd = known.data_deviation(name), known.assumed_deviation(name)
-            reach = float(student.ppf(0.975, max(len(self.problem) - 1, 1))) * data_sd
+            reach = float(stdtrit(max(len(self.problem) - 1, 1), 0.975)) * data_sd
             data_interval = self._around(name, reach)
             interval = self._around(name, float(np.hypot(reach, NORMAL_95 * assumed_sd)))
         first, last = self.space.quantity_bounds(name, self.problem.box)

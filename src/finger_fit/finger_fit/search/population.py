@@ -18,15 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cma
 import numpy as np
-from pymoo.algorithms.soo.nonconvex.de import DE
-from pymoo.algorithms.soo.nonconvex.pso import PSO
-from pymoo.core.evaluator import Evaluator
-from pymoo.core.population import Population
-from pymoo.core.problem import Problem
-from pymoo.core.termination import NoTermination
-from pymoo.problems.static import StaticProblem
 
 from finger_common.errors import InputError
 from finger_common.files import atomic_write, load_json
@@ -116,6 +108,9 @@ class _Pymoo:
     """A pymoo algorithm on the coordinates."""
 
     def __init__(self, algorithm: Any, box: np.ndarray, seed: int) -> None:
+        from pymoo.core.problem import Problem
+        from pymoo.core.termination import NoTermination
+
         self._problem = Problem(n_var=len(box), n_obj=1, xl=box[:, 0], xu=box[:, 1])
         self._algorithm = algorithm
         algorithm.setup(self._problem, termination=NoTermination(), seed=seed, verbose=False)
@@ -125,6 +120,9 @@ class _Pymoo:
         return self._infills.get("X")
 
     def tell(self, costs: np.ndarray) -> None:
+        from pymoo.core.evaluator import Evaluator
+        from pymoo.problems.static import StaticProblem
+
         Evaluator().eval(StaticProblem(self._problem, F=costs[:, None]), self._infills)
         self._algorithm.tell(infills=self._infills)
 
@@ -133,6 +131,8 @@ class _Cma:
     """CMA-ES (Hansen) on the coordinates, scaled to the unit box."""
 
     def __init__(self, start: np.ndarray, box: np.ndarray, size: int, seed: int) -> None:
+        import cma  # a second, as it imports matplotlib
+
         self._low, self._span = box[:, 0], box[:, 1] - box[:, 0]
         settings = {
             "bounds": [0.0, 1.0],
@@ -157,6 +157,10 @@ class _Cma:
 
 def _optimizer(name: str, start: np.ndarray, box: np.ndarray, seed: int) -> Any:
     """The optimiser from start points (C, D) in box (D, 2), with C candidates per round."""
+    from pymoo.algorithms.soo.nonconvex.de import DE
+    from pymoo.algorithms.soo.nonconvex.pso import PSO
+    from pymoo.core.population import Population
+
     size = len(start)
     sampling = Population.new("X", start)
     if name == "pso":

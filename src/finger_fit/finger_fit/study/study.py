@@ -27,7 +27,6 @@ from ..full_order import FullOrder
 from ..options import FitOptions
 from ..problem import Exclusion, FitProblem, FitTrial, finger_of, material_of, prepare_all
 from ..quality import judge, quality_of, screen
-from ..report import write_report
 from ..results import ConditionFit, Finger, FitResult, codes_of, contrasts
 from ..search import Stopped
 from .bags import load, reading
@@ -416,6 +415,8 @@ def fit_bags(
 
 def _write(result: FitResult, folder: Path, progress: Progress) -> None:
     """Files first, then the report; a stopped fit writes what it found."""
+    from ..report import write_report  # it imports matplotlib
+
     results.write(result, folder)
     with contextlib.suppress(Stopped):
         progress.count("report")(0, 1)

@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from ..problem import FitProblem
 from ..search import held, refine
@@ -150,7 +150,7 @@ def in_interval(
 
 def _allowed_rise(problem: FitProblem, name: str, found: Covariance) -> float:
     """Rise of J (m⁴) above its minimum at the ends of the 95 % interval."""
-    return float(student.ppf(0.975, max(len(problem) - 1, 1)) ** 2 * found.rise(name))
+    return float(stdtrit(max(len(problem) - 1, 1), 0.975) ** 2 * found.rise(name))
 
 
 def _crossing(

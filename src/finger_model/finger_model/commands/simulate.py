@@ -23,9 +23,9 @@ from ..geometry import Geometry
 from ..history import ContactHistory, read_load_csv
 from ..laws import ConstitutiveLaw, MaxwellLaw, StandardLinearSolid, load_material
 from ..parameter_sets import ParameterSets
-from ..slip.pull import PullHistory, pull_history
 
 if TYPE_CHECKING:
+    from ..slip.pull import PullHistory
     from ..solid3d.full_order import SolidHistory
 
 FULL_ORDER = "full-order model"
@@ -299,6 +299,8 @@ def _reduced(
     history = simulate_reduced(material, time, force, geometry, arguments.reduced_model or "")
     if pull is None:
         return history
+    from ..slip.pull import pull_history
+
     assert isinstance(material, MaxwellLaw)  # as all that have a reduced model
     return pull_history(history, pull, geometry, material)
 

@@ -9,9 +9,8 @@ import argparse
 import time
 from pathlib import Path
 
-from rich.console import Console
-
 from finger_common.cli import plain
+from finger_common.console import Console
 from finger_common.errors import InputError, known_names
 from finger_common.progress import Stages
 
@@ -59,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
         return verify_published.run(arguments)
     from ..verification.page import CHECKS, write_page
 
-    console = Console(highlight=False)
+    console = Console()
     if arguments.list:
         console.print("\n".join(CHECKS))
         return 0

@@ -8,9 +8,8 @@ from __future__ import annotations
 import argparse
 import json
 
-from rich.console import Console
-
 from finger_common.cli import plain
+from finger_common.console import Console
 from finger_common.errors import InputError
 from finger_common.files import atomic_write
 
@@ -33,7 +32,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError("--published has no named checks: leave out the names")
     if arguments.output and not arguments.output.endswith(".json"):
         raise InputError(f"{arguments.output}: --published writes a table; name it NAME.json")
-    console = Console(highlight=False, soft_wrap=True)
+    console = Console(soft_wrap=True)
     rows = published()
 
     def text(value: float | None) -> str:

@@ -13,7 +13,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq
 
 from finger_common.errors import InputError
 
@@ -93,6 +92,8 @@ def similar_mesh(geometry: Geometry) -> Mesh:
 
     def beyond(growth: float) -> np.ndarray:
         return contact[-1] * growth ** np.arange(1, SIMILAR_BEYOND + 1)
+
+    from scipy.optimize import brentq  # a fifth of a second
 
     growth = brentq(lambda g: beyond(g).sum() - (arc[-1] - even), 0.5, 3.0)
     positions = np.concatenate([[0.0], np.cumsum(np.concatenate([contact, beyond(growth)]))])
