@@ -53,7 +53,8 @@ class State:
     bulk tissue; crept: see `creep_steps`. radius of the contact (m); edge: history of the contact's
     edge; reserve: rise of the force (N) until two more nodes touch. stored: elastic energy; work of
     the plate, dissipation in the tissue and friction_work since the start (J); stored and
-    dissipation are NaN where the bulk tissue is linear (see `elasticity`).
+    dissipation are NaN where the bulk tissue is linear (see `elasticity`). In steps that are long
+    against the relaxation time dissipation may fall by about a hundredth of itself.
     """
 
     time: float
@@ -166,7 +167,11 @@ class Stepper:
             return self._advance(time, _Target(True, force))
 
     def step_to_position(self, time: float, indentation: float) -> ContactPoint:
-        """Advance to `time` (s) with the plate moving to `indentation` (m) from first touch."""
+        """Advance to `time` (s) with the plate moving to `indentation` (m) from first touch.
+
+        Creep does not divide such a step, other than one of `step`: give rows that are short
+        against the creep time wherever the plate has just moved.
+        """
         with STEP_LOCK:
             return self._advance(time, _Target(False, indentation))
 

@@ -243,7 +243,8 @@ class SolidStepper:
         self, time: float, indentation: float, shift: tuple[float, float] | None = None
     ) -> SolidPoint:
         """Advance to `time` (s) with the plate moving to `indentation` (m) from first touch and to
-        a shift (m) along itself; by default it does not shift."""
+        a shift (m) along itself; by default it does not shift. Creep does not divide such a step,
+        other than one of `step`."""
         with STEP_LOCK:
             return self._advance(time, None, indentation, None, shift)
 
