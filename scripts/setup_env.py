@@ -68,8 +68,8 @@ def check_folder(folder: Path) -> None:
     if not str(folder).isascii():
         raise SetupError(
             f"CMake cannot build ROS messages in {folder}, whose name has letters beyond a to z "
-            "(ASCII): name another folder, as in make setup ENV=/tmp/finger_env (setup_env.py: "
-            "--env)."
+            "(ASCII): name another folder, as in make setup ENV=/opt/finger_env, with every make "
+            "(setup_env.py: --env)."
         )
     if folder.is_dir() and not any(folder.iterdir()):
         return

@@ -310,7 +310,7 @@ def reach_line() -> str:
         return ""
     return (
         "topics, images of prints among them, reach the local network; "
-        "ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST keeps them on this computer"
+        "with ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST other computers do not find them"
     )
 
 

@@ -200,6 +200,12 @@ def one_line(error: BaseException) -> str:
     return plain(" ".join(str(error).split())) or type(error).__name__
 
 
+def print_to_nobody() -> None:
+    """The reader of standard output went away: what is still printed, or flushed at exit, is lost
+    without an error."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
 def run(
     main: Callable[[Sequence[str] | None], int | None], argv: Sequence[str] | None = None
 ) -> int:
@@ -216,19 +222,18 @@ def run(
         sys.stdout.reconfigure(errors="backslashreplace")  # file names need not be text
     try:
         try:
-            code = main(argv) or 0
-        except SystemExit:  # of --help
-            print(end="", flush=True)
-            raise
-        print(end="", flush=True)  # here, where an error of it is caught
-        return code
+            return main(argv) or 0
+        finally:  # also of --help
+            try:
+                print(end="", flush=True)
+            except BrokenPipeError:
+                print_to_nobody()
     except FingerError as error:
         print(f"{name}: {one_line(error)}", file=sys.stderr)
         return EXIT_BAD_INPUT
     except OSError as error:
         if isinstance(error, BrokenPipeError):
-            # The reader went away; keep the interpreter from complaining when it flushes at exit.
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            print_to_nobody()
             return 0
         if error.errno not in _OUTSIDE:
             raise

@@ -10,12 +10,14 @@ from typing import Any
 
 import rich.console
 
+from .cli import print_to_nobody
+
 
 class Console(rich.console.Console):
     """Standard output, as wide as the terminal, or 160 characters in a file or pipe.
 
-    Where the reader of a pipe went away, rich would end with exit code 1; `finger_common.cli.run`
-    knows what to do.
+    Where the reader of a pipe went away, rich would end with exit code 1. Here the command goes on:
+    it may still write files, and its exit code says what it found.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -24,4 +26,4 @@ class Console(rich.console.Console):
 
     def on_broken_pipe(self) -> None:
         """Called while the error is handled."""
-        raise
+        print_to_nobody()

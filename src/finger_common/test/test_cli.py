@@ -54,11 +54,15 @@ from finger_common.console import Console
 def command(argv):
     Parser(prog="tool").parse_args(argv[1:])
     print("a line") if argv[0] == "line" else Console().print("a table")
+    if argv[0] != "check":
+        return 0
+    print("written", file=sys.stderr)
+    return 1
 sys.exit(run(command, sys.argv[1:]))
 """
 
 
-@pytest.mark.parametrize("arguments", [["table"], ["line"], ["line", "--help"]])
+@pytest.mark.parametrize("arguments", [["table"], ["line"], ["line", "--help"], ["check"]])
 def test_a_pipe_that_nobody_reads_any_more_is_no_error(arguments: list[str]) -> None:
     """As in `finger-bag info BAG | head -1`."""
     reading, writing = os.pipe()
@@ -70,7 +74,9 @@ def test_a_pipe_that_nobody_reads_any_more_is_no_error(arguments: list[str]) -> 
             stderr=subprocess.PIPE,
             timeout=60,
         )
-    assert (done.returncode, done.stderr) == (0, b"")
+    # What the command does after its table is done, and its own exit code is kept.
+    expected = (1, b"written\n") if arguments == ["check"] else (0, b"")
+    assert (done.returncode, done.stderr) == expected
 
 
 def test_an_option_like_no_other_gets_no_guess(capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,6 +6,8 @@
 from __future__ import annotations
 
 import itertools
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +95,12 @@ def test_numbers_on_a_logarithmic_axis_stay_apart(low: float, high: float, wante
     _plain_log_ticks(panel, low, high)
     assert " ".join(label.get_text() for label in panel.get_xticklabels()) == wanted
     plt.close("all")
+
+
+def test_reports_leave_the_backend_to_their_caller() -> None:
+    """pyplot would choose one for the process: figures of a notebook then no longer show."""
+    code = "import sys, finger_fit.report; sys.exit('matplotlib.pyplot' in sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_every_figure_comes_as_png_svg_and_pdf(written: Path) -> None:

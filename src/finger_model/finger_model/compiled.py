@@ -52,6 +52,8 @@ def keep_kernels(package: Path, *others: str) -> None:
         _forget_stale_kernels(package, sources)
         return
     cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    if chosen and not writable(Path(chosen, sources)):
+        print(f"finger_model: NUMBA_CACHE_DIR={chosen} cannot be written", file=sys.stderr)
     for folder in (chosen, os.path.join(cache, "finger_model")):
         # "~" stays where the user has no home.
         if folder and not folder.startswith("~") and writable(Path(folder, sources)):
@@ -82,7 +84,7 @@ def writable(folder: Path) -> bool:
 def _forget_stale_kernels(package: Path, sources: str) -> None:
     kept = package / "__pycache__" / "sources_of_kernels.txt"
     with contextlib.suppress(OSError):  # another process may do the same
-        if not kept.exists() or kept.read_text() != sources:
+        if not kept.exists() or kept.read_bytes() != sources.encode():
             for kernel in package.rglob("*.nb[ic]"):
                 kernel.unlink(missing_ok=True)
             with atomic_write(kept) as file:

@@ -12,14 +12,12 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 from matplotlib.ticker import FixedLocator, NullLocator
 
 from finger_common.errors import InputError, known_names
@@ -113,7 +111,7 @@ def condition_panels(report: FitResult, height: float) -> tuple[Figure, list[Axe
     columns = min(number, ABREAST)
     rows = -(-number // columns)
     width = COLUMN if columns > 1 else 0.5 * COLUMN
-    figure, grid = plt.subplots(
+    figure, grid = _subplots(
         rows, columns, figsize=(width, height * rows), sharex=True, sharey=True, squeeze=False
     )
     panels = list(grid.flat)
@@ -126,9 +124,17 @@ def condition_panels(report: FitResult, height: float) -> tuple[Figure, list[Axe
     return figure, panels[:number]
 
 
+def _subplots(
+    rows: int = 1, columns: int = 1, *, figsize: tuple[float, float], **options: Any
+) -> tuple[Figure, Any]:
+    """As `pyplot.subplots`, which would choose a backend for the whole process."""
+    figure = Figure(figsize=figsize)
+    return figure, figure.subplots(rows, columns, **options)
+
+
 def all_figures(report: FitResult) -> dict[str, Figure]:
     """Every figure that the fit has the data for, by file name in the order of the report."""
-    with plt.rc_context(STYLE):
+    with rc_context(STYLE):
         figures = {name: make(report) for name, make in FIGURES.items()}
     return {name: figure for name, figure in figures.items() if figure is not None}
 
@@ -136,7 +142,7 @@ def all_figures(report: FitResult) -> dict[str, Figure]:
 def figure(report: FitResult, name: str) -> Figure:
     """One figure by name; raises InputError for a name that the fit has no figure of."""
     if name in FIGURES:
-        with plt.rc_context(STYLE):
+        with rc_context(STYLE):
             made = FIGURES[name](report)
         if made is not None:
             return made
@@ -148,7 +154,7 @@ def moisture_figure(report: FitResult) -> Figure | None:
     fits = {n: f for n, f in report.fits.items() if np.isfinite(f.moisture[0])}
     if not fits:
         return None
-    figure, axes = plt.subplots(figsize=(0.6 * COLUMN, 1.0 + 0.42 * len(fits)))
+    figure, axes = _subplots(figsize=(0.6 * COLUMN, 1.0 + 0.42 * len(fits)))
     for row, (name, fit) in enumerate(fits.items()):
         colour = colour_of(report, name)
         values = np.array([t.moisture for t in fit.problem.trials])
@@ -255,7 +261,7 @@ def example_figure(report: FitResult) -> Figure:
     fit, index = report.example()
     name, trial = fit.condition, fit.problem.trials[index]
     colour = colour_of(report, name)
-    figure = plt.figure(figsize=(COLUMN, 3.1))
+    figure = Figure(figsize=(COLUMN, 3.1))
     grid = figure.add_gridspec(2, 2, width_ratios=(1.15, 1.0), height_ratios=(1, 1.7))
     top = figure.add_subplot(grid[0, 0])
     bottom = figure.add_subplot(grid[1, 0], sharex=top)
@@ -354,7 +360,7 @@ def _deformed(axes: Axes, finger: DeformedFinger, force: float) -> None:
     lettered(axes, 1, f"full-order finger at {force:.2f} N")
     if image is not None:
         place = axes.inset_axes((0.22, -0.10, 0.56, 0.035))
-        bar = plt.colorbar(image, cax=place, orientation="horizontal")
+        bar = axes.figure.colorbar(image, cax=place, orientation="horizontal")
         bar.set_label("largest shear strain", fontsize=SMALLEST)
         place.tick_params(labelsize=SMALLEST)
         bar.outline.set_linewidth(0.4)  # type: ignore[operator]
@@ -364,7 +370,7 @@ def candidates_figure(report: FitResult) -> Figure:
     """Top candidates of every quantity, and its 95 % range (as the paper's Fig. 5)."""
     space = report.space
     box = next(iter(report.fits.values())).problem.box
-    figure, panels = plt.subplots(1, len(space.quantity_names), figsize=(COLUMN, 2.4))
+    figure, panels = _subplots(1, len(space.quantity_names), figsize=(COLUMN, 2.4))
     labels = list(report.fits)
     for number, (panel, name) in enumerate(zip(panels, space.quantity_names)):
         quantity = space.describe(name)
@@ -375,9 +381,7 @@ def candidates_figure(report: FitResult) -> Figure:
             if profile is not None:
                 low, high = (value * factor for value in profile.interval)
                 panel.add_patch(
-                    plt.Rectangle(
-                        (row - 0.30, low), 0.60, high - low, color=colour, alpha=0.18, lw=0
-                    )
+                    Rectangle((row - 0.30, low), 0.60, high - low, color=colour, alpha=0.18, lw=0)
                 )
                 for value, is_open in ((low, profile.open_low), (high, profile.open_high)):
                     style = (0, (1, 1.5)) if is_open else "solid"
@@ -419,7 +423,7 @@ def matched_figure(report: FitResult) -> Figure | None:
         n: np.array([t.time[-1] for t in f.problem.trials]) for n, f in report.fits.items()
     }
     middle = float(np.median(np.concatenate(list(durations.values()))))
-    figure, (left, right) = plt.subplots(1, 2, figsize=(COLUMN, 2.4))
+    figure, (left, right) = _subplots(1, 2, figsize=(COLUMN, 2.4))
     for name, fit in report.fits.items():
         index = int(np.argmin(np.abs(durations[name] - middle)))
         trial = fit.problem.trials[index]
@@ -450,7 +454,7 @@ def profiles_figure(report: FitResult) -> Figure | None:
     rows = -(-len(names) // PROFILES_IN_ROW)
     across = -(-len(names) // rows)
     size = (COLUMN, 0.5 + 1.85 * rows)
-    figure, panels = plt.subplots(rows, across, figsize=size, sharey=True, squeeze=False)
+    figure, panels = _subplots(rows, across, figsize=size, sharey=True, squeeze=False)
     for panel in panels.ravel()[len(names) :]:
         panel.remove()
     for number, (panel, name) in enumerate(zip(panels.ravel(), names)):
@@ -503,7 +507,7 @@ def _plain_log_ticks(panel: Axes, low: float, high: float) -> None:
 
 def residuals_figure(report: FitResult) -> Figure:
     """Residuals over force and their distribution, model beside power law."""
-    figure, panels = plt.subplots(
+    figure, panels = _subplots(
         1, 3, figsize=(COLUMN, 2.45), gridspec_kw={"width_ratios": (1, 1, 0.7)}
     )
     limit = 0.0
@@ -541,7 +545,7 @@ def indentation_figure(report: FitResult) -> Figure | None:
     fits = {n: f for n, f in report.fits.items() if f.indentation is not None}
     if not fits:
         return None
-    figure, (left, right) = plt.subplots(1, 2, figsize=(COLUMN, 2.6))
+    figure, (left, right) = _subplots(1, 2, figsize=(COLUMN, 2.6))
     for name, fit in fits.items():
         found = fit.indentation
         assert found is not None
@@ -572,7 +576,7 @@ def indentation_figure(report: FitResult) -> Figure | None:
 
 def convergence_figure(report: FitResult) -> Figure:
     """Best J over the rounds of the search, relative to J after the polish."""
-    figure, axes = plt.subplots(figsize=(0.6 * COLUMN, 2.3))
+    figure, axes = _subplots(figsize=(0.6 * COLUMN, 2.3))
     for name, fit in report.fits.items():
         colour = colour_of(report, name)
         reference = fit.polish.cost if fit.polish is not None else fit.pso.best[1]

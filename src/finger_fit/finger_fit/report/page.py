@@ -13,7 +13,7 @@ from html import escape
 from importlib import resources
 from pathlib import Path
 
-import matplotlib.pyplot as plt
+from matplotlib import rc_context
 
 from finger_common.files import atomic_write
 
@@ -58,7 +58,7 @@ def write_report(result: FitResult, folder: Path) -> Path:
 def _write_figures(result: FitResult, folder: Path) -> dict[str, bytes]:
     """Write every figure in every format; gives the PNG of each."""
     pictures: dict[str, bytes] = {}
-    with plt.rc_context(STYLE):
+    with rc_context(STYLE):
         for name, figure in all_figures(result).items():
             for kind, metadata in FORMATS.items():
                 buffer = io.BytesIO()
@@ -69,7 +69,6 @@ def _write_figures(result: FitResult, folder: Path) -> dict[str, bytes]:
                     file.write(buffer.getvalue())
                 if kind == "png":
                     pictures[name] = buffer.getvalue()
-            plt.close(figure)
     _remove_figures(folder, pictures)
     return pictures
 

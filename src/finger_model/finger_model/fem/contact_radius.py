@@ -47,7 +47,7 @@ MAXIMUM_CHANGE, MAXIMUM_CHANGE_INSIDE = 0.02, 0.1
 events; the second where a node inside began to stick or slip. Beyond it the load path has changed,
 and the curve starts again."""
 
-MAXIMUM_SLOPE_RATIO = 2.0
+MAXIMUM_SLOPE_RATIO = 1.5
 """Largest ratio, either way, of the slope that is continued to that of the present step. While the
 force hardly rises and the tissue creeps, radius over force is a hundred times as steep. A next step
 that rises faster must not take this slope over: a force in stairs gave areas up to 149 % too large.
