@@ -939,3 +939,13 @@ def test_a_force_that_stays_the_same_is_measured_all_the_same():
     """Without noise: a pull that has come to a stop is no longer foretold to go on."""
     rows = run(SlipEstimator(), np.ones(600), ramp((0.0, 0.0), (0.5, 0.0), (1.0, 0.3), (1.2, 0.3)))
     assert rows["slip_probability"][515] < 0.7 * rows["slip_probability"][498]
+
+
+@pytest.mark.parametrize(("noise", "most"), [(0.005, 0.02), (0.01, 0.15)])
+def test_a_load_that_is_held_still_does_not_alarm_for_long(noise, most):
+    """From 1 s after the pull has stopped on."""
+    alarm = [
+        np.mean(of_load(time, forces)["slip_probability"][time > 3.5] > 0.15)
+        for time, forces in held_loads(noise, 12.0, 8)
+    ]
+    assert np.mean(alarm) < most
