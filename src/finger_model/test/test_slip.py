@@ -982,3 +982,53 @@ def test_noise_that_was_not_seen_leaves_friction_assumed():
     )
     assert rows["slips"][-1] >= 1
     assert (rows["flags"] & SlipFlag.FRICTION_ASSUMED).all()
+
+
+def held_loads(noise: float, seconds: float, count: int, seed: int = 1, swing: float = 0.0):
+    """Time, and P, Qx, Qy (n, 3) of loads of 0.2 to 0.4 N that are held with 1 N."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, seconds, 1.0 / RATE)
+    for _ in range(count):
+        normal = np.interp(time, [1.0, 1.5], [0.0, 1.0])
+        normal *= 1.0 + swing * np.sin(2 * np.pi * rng.uniform(0.2, 2.0) * time + rng.uniform(0, 6))
+        pull = np.interp(time, [2.0, 2.5], [0.0, rng.uniform(0.2, 0.4)])
+        forces = np.column_stack([normal, pull, 0.0 * time])
+        yield time, forces + rng.normal(0.0, noise, forces.shape)
+
+
+def of_load(time: np.ndarray, forces: np.ndarray) -> np.ndarray:
+    """Rows of what `held_loads` gives."""
+    return SlipEstimator().add_many(
+        (time * 1e9).astype(np.int64), forces[:, 0], forces[:, 1:], time >= 1.0, 5e-4 * (time >= 1)
+    )
+
+
+@pytest.mark.parametrize("times", [2, 4, 10])
+def test_a_sensor_that_repeats_its_samples_tells_no_more_than_one_that_does_not(times):
+    """It measures at 250, 125 or 50 Hz."""
+    found = []
+    for time, forces in held_loads(0.01, 10.0, 6, swing=0.03):
+        repeated = np.repeat(forces[::times], times, axis=0)[: len(time)]
+        row, once = (
+            of_load(*of)[-1] for of in ((time, repeated), (time[::times], forces[::times]))
+        )
+        found.append(row["slips"])
+        assert row["slips"] == once["slips"] and row["flags"] & SlipFlag.FRICTION_ASSUMED
+        assert row["friction"] == pytest.approx(once["friction"], rel=0.05)
+    assert sum(found) <= 1
+
+
+def test_a_force_that_stays_the_same_is_measured_all_the_same():
+    """Without noise: a pull that has come to a stop is no longer foretold to go on."""
+    rows = run(SlipEstimator(), np.ones(600), ramp((0.0, 0.0), (0.5, 0.0), (1.0, 0.3), (1.2, 0.3)))
+    assert rows["slip_probability"][515] < 0.7 * rows["slip_probability"][498]
+
+
+@pytest.mark.parametrize(("noise", "most"), [(0.005, 0.02), (0.01, 0.15)])
+def test_a_load_that_is_held_still_does_not_alarm_for_long(noise, most):
+    """From 1 s after the pull has stopped on."""
+    alarm = [
+        np.mean(of_load(time, forces)["slip_probability"][time > 3.5] > 0.15)
+        for time, forces in held_loads(noise, 12.0, 8)
+    ]
+    assert np.mean(alarm) < most

@@ -25,6 +25,9 @@ LEAST_TIME = 0.02
 """s that r must stand still."""
 SLIP_ODDS = -1.5
 """Log of the odds of slip against holding of a plateau that shows neither: held things are more."""
+FADED, FADE = -1.5, 1.0
+"""Log of the odds, from windows, to which those of a plateau without a clear slip fade, and s in
+which they do: what is held lasts longer than a slide that nothing shows."""
 CLEAR_SLIP = 2.0
 """Log of the odds of slip against holding from which a plateau tells of slip by itself."""
 GROWN = 1.3
@@ -103,8 +106,9 @@ def _window_odds(plateau, n, noise, coupled):
 
 
 @njit(cache=True)
-def _look_for_slip(plateau, forces, coupled, log_ratio, judged):
-    """Keep the newest sample, at this ln r, and, where it may be judged, the odds of slip."""
+def _look_for_slip(plateau, forces, coupled, dt, log_ratio, judged):
+    """Keep the newest sample, at this ln r, and, where it may be judged, the odds of slip; dt: s
+    since the one before."""
     newest = plateau.window[plateau.seen % windows.LENGTH]
     newest[0] = forces.fast.value[0]
     newest[1] = tangential(forces.fast)
@@ -135,6 +139,8 @@ def _look_for_slip(plateau, forces, coupled, log_ratio, judged):
         plateau.count += 1.0
     if plateau.looks <= 1:
         plateau.odds = odds
+    if FADED < plateau.odds < CLEAR_SLIP:
+        plateau.odds += (FADED - plateau.odds) * (1.0 - math.exp(-dt / FADE))
     plateau.odds = max(plateau.odds, odds)
 
 
@@ -143,6 +149,7 @@ def judge(plateau, forecasts, forces, coupled, stamp):
     """Find whether r stands still, and since when; True when a plateau that lasted has ended."""
     if not due(forecasts, stamp):
         return False
+    dt = abs(stamp - forecasts.made_at) * 1e-9
     compare(forecasts, forces, stamp)
     load, q = forces.fast.value[0], tangential(forces.fast)
     ratio = ratio_of(forces.slow)
@@ -176,6 +183,6 @@ def judge(plateau, forecasts, forces, coupled, stamp):
         _begin(plateau, stamp)
     if plateau.present:
         plateau.spread = math.hypot(SPREAD, forces.zero_error / max(q, 1e-6))
-        _look_for_slip(plateau, forces, coupled, log_ratio, not letting_go or away < SPREAD)
+        _look_for_slip(plateau, forces, coupled, dt, log_ratio, not letting_go or away < SPREAD)
         plateau.past_odds[forecasts.count % KEPT] = plateau.odds
     return ended
