@@ -304,6 +304,14 @@ def test_without_a_reading_the_moisture_is_found_with_the_finger() -> None:
     assert np.allclose(block.column("area")[use], area[use], rtol=0.15)
 
 
+def test_the_area_is_that_which_was_seen_whether_or_not_the_moisture_is_known(
+    fingers: list[Finger],
+) -> None:
+    presses = fingers[0].presses[: len(CALIBRATION_PRESSES)]
+    blind = calibrate(ReducedModel.load(), ParameterSets.default(), presses).quantities[0]
+    assert blind.value == pytest.approx(calibrated(fingers[0]).quantities[0].value, rel=0.03)
+
+
 def collected(finger: Finger, failing: int = -1) -> tuple[PressCollector, list[bool]]:
     """The presses as live streams, with one attempt that fails first."""
     collector = PressCollector()

@@ -679,6 +679,22 @@ def test_export_readings_carry_their_own_time(tmp_path: Path, name: str) -> None
     assert abs(reading.stamp_ns - sent) < 2e9 and reading.stamp_ns % 10**9 == 0
 
 
+def test_a_table_is_read_when_nobody_writes_it_and_its_rows_come_in_order(tmp_path: Path) -> None:
+    path = tmp_path / "e.csv"
+    path.write_text("time;value\n")
+    source = moisture.open_source(
+        {"device": "export", "path": str(path), "export_time_column": "time", "export_period": 0.1}
+    )
+    source.connect()
+    # The newest row is the first one, and half of the last one is there.
+    path.write_text("time;value\n2026-05-04 10:00:09;51\n2026-05-04 10:00:03;4")
+    assert source.read(0.0) is None
+    with path.open("a") as file:
+        file.write("2,5\n")
+    readings = [source.read(5.0), source.read(5.0)]
+    assert [r.value for r in readings if r is not None] == [42.5, 51.0]
+
+
 @pytest.mark.parametrize("column", ["time", ""])
 @pytest.mark.parametrize("step", [3600.4, -3600.4])
 def test_export_readings_follow_the_clock_of_the_node_over_a_step(

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import re
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -149,6 +151,63 @@ def test_force_node_refuses_a_tare_while_something_is_held(
                 success, message = observer.until(tare, what="tare")
                 assert said in message and success is ("not tared" not in said), message
     assert "was 1.0" in message
+
+
+@contextmanager
+def force_node(domain: int, load: np.ndarray) -> Iterator[tuple[Any, Any]]:
+    """A node in this process, and the board that it reads, with this wrench (6,) on it."""
+    from rclpy.parameter import Parameter
+
+    from finger_driver.can_bus import open_bus
+    from finger_driver.force_node import ForceNode
+    from finger_driver.simulators.netcanoem import NetcanoemSimulator
+
+    channel = f"domain {domain}"
+    bus = open_bus("virtual", channel)
+    simulator = NetcanoemSimulator(bus, force=lambda stamp: load).start()
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=domain)
+    parameters = {"can_interface": "virtual", "can_channel": channel}
+    overrides = [Parameter(k, value=v) for k, v in parameters.items()]
+    overrides.append(Parameter("calibration_check_period", value=0.05))
+    node = ForceNode(context=context, parameter_overrides=overrides)
+    try:
+        assert node.bring_up()
+        yield node, simulator
+    finally:
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+        simulator.stop()
+        bus.shutdown()
+
+
+def until(condition: Callable[[], bool]) -> None:
+    end = time.monotonic() + 20.0
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def test_a_tare_ends_with_the_calibration_that_it_was_made_in(ros_domain: int) -> None:
+    """In place of the board comes one with another transducer, 1 N on it as before."""
+    from std_srvs.srv import Trigger
+
+    from finger_driver.simulators.netcanoem import default_calibration
+
+    with force_node(ros_domain, np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0])) as (node, simulator):
+        until(lambda: node._on_tare(Trigger.Request(), Trigger.Response()).success)
+        until(lambda: abs(node._newest[2]) < 0.02)
+        simulator.slots[0] = default_calibration(1)
+        simulator.power_cycle()
+        until(lambda: "tare_void" in node.device.health.faults)
+        until(lambda: abs(node._newest[2] + 1.0) < 0.02)
+        assert node.device.health.notes["tared"] == "no"
+
+
+def test_a_force_beyond_the_sensors_range_is_not_published(ros_domain: int) -> None:
+    with force_node(ros_domain, np.array([0.0, 0.0, -150.0, 0.0, 0.0, 0.0])) as (node, _):
+        until(lambda: "implausible" in node.device.health.faults)
+        assert not node._newest
 
 
 def test_camera_node_publishes_every_frame_with_its_calibration(

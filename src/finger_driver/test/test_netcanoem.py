@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import threading
 import time
+from dataclasses import replace
 
 import can
 import numpy as np
@@ -14,7 +15,7 @@ import pytest
 
 from finger_common.errors import DeviceError
 from finger_driver.can_bus import discard_waiting, open_bus, parse_options
-from finger_driver.force import GOOD, open_source
+from finger_driver.force import GOOD, SATURATED, open_source
 from finger_driver.protocols import netcanoem, units
 from finger_driver.simulators.netcanoem import NetcanoemSimulator, default_calibration
 
@@ -154,6 +155,25 @@ def test_force_and_torque_come_through_as_they_are(channel: str) -> None:
     limit = np.abs(default_calibration().scaled).sum(axis=1) * 0.5
     assert np.all(np.abs(wrench - truth) <= limit + 1e-9)
     assert np.all(np.diff([s.stamp_ns for s in samples]) > 0)
+
+
+def test_the_stamp_is_the_middle_of_the_round_trip(channel: str) -> None:
+    """The board samples at some time between request and reply."""
+    bus, simulator = board(channel)
+    simulator.start()
+    source = driver(channel)
+    try:
+        source.connect()
+        simulator.response_time, half = 0.02, 10_000_000
+        for _ in range(3):
+            before = source.clock.now()
+            sample = source.read(1.0)
+            assert sample is not None
+            assert before + half <= sample.stamp_ns <= source.clock.now() - half
+    finally:
+        source.close()
+        simulator.stop()
+        bus.shutdown()
 
 
 @pytest.mark.parametrize("fault", ["duplicate", "swapped", "late", "no_second", "foreign"])
@@ -380,6 +400,72 @@ def test_start_up_refuses_with_a_reason(
     try:
         with pytest.raises(DeviceError, match=message):
             source.connect()
+    finally:
+        source.close()
+        simulator.stop()
+        bus.shutdown()
+
+
+def test_a_matrix_that_is_read_in_two_ways_is_refused(channel: str) -> None:
+    """As where a late reply is taken for another row's."""
+
+    class Mixed(NetcanoemSimulator):
+        mixed = True
+
+        def _replies(self, opcode: int, data: bytes) -> list[bytes]:
+            if opcode == netcanoem.READ_MATRIX and data == b"\5" and self.mixed:
+                self.mixed, data = False, b"\4"
+            return super()._replies(opcode, data)
+
+    bus = open_bus("virtual", channel)
+    simulator = Mixed(bus).start()
+    source = driver(channel)
+    try:
+        with pytest.raises(DeviceError, match="two readings of the matrix differ"):
+            source.connect()
+        source.connect()
+        assert np.array_equal(source.calibration.matrix, default_calibration().matrix)
+    finally:
+        source.close()
+        simulator.stop()
+        bus.shutdown()
+
+
+def test_another_calibration_is_another_scale_and_a_reset_is_found_in_any_row(channel: str) -> None:
+    """Slots 0 and 3, of one transducer, differ in the last row only."""
+    first = default_calibration()
+    other = replace(first, matrix=first.matrix * np.array([[1.0]] * 5 + [[1.5]]))
+    bus, simulator = board(channel, slots={0: first, 3: other})
+    simulator.start()
+    scales = []
+    source = driver(channel)
+    try:
+        for slot in (0, 3, 3):
+            source.close()
+            source = driver(channel, calibration_slot=slot, calibration_check_period=0.05)
+            source.connect()
+            scales.append(source.scale_id)
+        assert scales[0] != scales[1] == scales[2]
+        simulator.power_cycle()
+        with pytest.raises(DeviceError, match="no longer uses calibration slot 3"):
+            for _ in range(500):
+                source.read(1.0)
+    finally:
+        source.close()
+        simulator.stop()
+        bus.shutdown()
+
+
+@pytest.mark.parametrize("end", [-1, 1])
+def test_a_gauge_at_either_end_is_saturated(channel: str, end: int) -> None:
+    bus, simulator = board(channel, gauge_offset=np.array([0, 0, 4e4 * end, 0, 0, 0]))
+    simulator.start()
+    source = driver(channel)
+    try:
+        source.connect()
+        sample = source.read(1.0)
+        assert sample is not None and sample.quality == SATURATED
+        assert "gauge 2 is saturated" in source.health.faults["saturated"]
     finally:
         source.close()
         simulator.stop()

@@ -537,6 +537,10 @@ def test_a_sensor_whose_counter_stands_still_repeats_a_sample(tmp_path: Path) ->
     assert not any(feed(49, 0.2 + 0.002 * k) for k in range(100))
     assert health.faults["stalled"] == "the sensor repeats a sample (Fz 49)"
     assert feed(52, 0.5) is not None and health.counters["lost"] == 2
+    feed(32767, 0.502)
+    lost = health.counters["lost"]
+    # The counter begins anew, here at -32768, which is lost.
+    assert feed(-32767, 0.504) is not None and health.counters["lost"] == lost + 1
 
 
 def test_dbc_sensor_streams_from_another_process_through_faults(free_port: object) -> None:

@@ -104,13 +104,13 @@ def test_a_device_clock_that_jumps_forward_is_mapped_anew(jump: float) -> None:
 
 
 def test_one_wrong_time_of_receipt_does_not_move_the_mapping() -> None:
+    """Nor does another one later."""
     mapper, start = ClockMapper(500.0), 10**18
     for index in range(5000):
-        true = start + index * 2_000_000
-        received = true - 10**9 if index == 3000 else true + 300_000
-        stamp = mapper.update(index, received)
+        true, wrong = start + index * 2_000_000, index in (3000, 4200)
+        stamp = mapper.update(index, true - 10**9 if wrong else true + 300_000)
         # The one itself is stamped as early as stamps that increase allow.
-        assert abs(stamp - true) < (2_000_000 if index == 3000 else 300_001)
+        assert abs(stamp - true) < (2_000_000 if wrong else 300_001)
     assert mapper.jumps == 0
 
 
@@ -198,6 +198,15 @@ def test_tare_of_a_still_signal_finds_its_mean() -> None:
 def test_tare_of_a_moving_signal_is_refused(force: Callable[[float], float]) -> None:
     with pytest.raises(DeviceError, match="moved by up to"):
         collect(force)
+
+
+def test_tare_of_a_moving_torque_is_refused_though_the_force_is_still() -> None:
+    collector = TareCollector(0.5, 0.05, 0.002)
+    for index in range(251):
+        torque = 0.01 * index / 250
+        collector.add(WrenchSample.of_wrench(2_000_000 * index, np.array([0, 0, 0, torque, 0, 0])))
+    with pytest.raises(DeviceError, match=r"moved by up to 0 N and 0\.009"):
+        collector.result(Direct())
 
 
 def test_tare_of_a_fraction_of_its_time_is_refused() -> None:

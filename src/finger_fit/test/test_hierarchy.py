@@ -118,6 +118,21 @@ def test_a_subject_of_poor_data_is_drawn_to_the_others() -> None:
         posterior(Estimates.of_conditions(value[:2], sd[:2], none[:2], np.zeros((2, 1))))
 
 
+def test_an_error_that_a_subject_has_in_all_conditions_is_no_spread_between_people() -> None:
+    """As that of a wrong length: it leaves the contrast as certain as it was."""
+    rng = np.random.default_rng(0)
+    value = 3.0 + 0.3 * rng.normal(size=(12, 1)) + [[0.0, 0.4]] + 0.03 * rng.normal(size=(12, 2))
+    sd, none = np.full((12, 2), 0.03), np.zeros((12, 2))
+    priors = HierarchyPriors(level=3.0)
+    real, mere = (
+        posterior(Estimates.of_conditions(value, sd, np.full((12, 2, 1), shared), none), priors)
+        for shared in (0.0, 0.3)
+    )
+    assert mere.subject_sd.mean() < 0.15 < 0.2 < real.subject_sd.mean()
+    contrast = [found.beta[:, 1] - found.beta[:, 0] for found in (real, mere)]
+    assert contrast[1].std() == pytest.approx(contrast[0].std(), rel=0.2)
+
+
 def fit_file(folder: Path, subjects: int = 8) -> Path:
     """A fit.json of subjects who are 1.5 times stiffer when dry."""
     rng = np.random.default_rng(4)

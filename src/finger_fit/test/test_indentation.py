@@ -199,6 +199,19 @@ def test_a_fast_sensor_is_smoothed_and_meets_the_frames(double: SimpleNamespace)
     assert np.sqrt(np.mean(left**2)) < 0.7 * SENSOR
 
 
+def test_nothing_is_made_up_where_the_sensor_was_silent(double: SimpleNamespace) -> None:
+    whole = presses(double, 2, rate=200.0)[1]
+    options, time = FitOptions(), whole.indentation_time
+    assert time is not None and whole.indentation is not None
+    compared = problem_of(double, options, [whole]).trials[0].recording.indentation_time
+    first, last = compared[len(compared) // 3], compared[2 * len(compared) // 3]
+    told = (time < first - 0.01) | (time > last + 0.01)
+    silent = replace(whole, indentation=whole.indentation[told], indentation_time=time[told])
+    found = problem_of(double, options, [silent]).trials[0].recording.indentation_time
+    assert last - first > 0.1
+    np.testing.assert_array_equal(found, compared[(compared < first) | (compared > last)])
+
+
 def test_images_that_are_late_do_not_move_the_indentation(double: SimpleNamespace) -> None:
     """The displacement sensor shares the clock of the force; the images' lag is not its own."""
     options = FitOptions(tare_sd=0.0, **ALONE)

@@ -127,6 +127,15 @@ def test_a_large_tare_is_taken_off_and_fails(
     assert result.fits["natural"].cost == pytest.approx(clean.cost, rel=0.02)
 
 
+def test_the_tare_that_is_farthest_from_zero_counts(
+    double: SimpleNamespace, presses: list[Any]
+) -> None:
+    """A sensor that drifts below its zero, in the last press."""
+    drifted = replace(presses[3], force=presses[3].force - 0.3)
+    status, words = status_of(fitted(double, [*presses[:3], drifted]), "tare")
+    assert status == "fail" and "at most −0.3" in words
+
+
 def test_presses_beyond_the_default_fingers_model_are_fitted_with_the_populations(
     double: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -243,12 +243,14 @@ def test_duplicates_and_samples_out_of_order_are_dropped(estimator: ContactEstim
 
 
 def test_a_step_far_back_in_time_resets(estimator: ContactEstimator, model: ReducedModel) -> None:
+    estimator.add_moisture(T0 + 2000 * MS, 105.0)
     for ms in range(0, 3000, 2):
         one(estimator, ms, 1.0)
     # The next sample says whether time jumped or one stamp was wrong.
     assert one(estimator, 100, 0.5) == []
     estimate, after = one(estimator, 102, 0.5)
     assert estimate.flags & StateFlag.TIME_RESET
+    assert estimate.flags & StateFlag.MOISTURE_MISSING, "of a reading that is still to come"
     assert not after.flags & StateFlag.TIME_RESET
     (fresh,) = one(ContactEstimator(model), 100, 0.5)
     assert estimate.model_area == fresh.model_area
@@ -437,6 +439,26 @@ def test_a_reading_does_not_undo_what_the_contact_measured(
     *_, last = (one(estimator, ms, 1.0)[0] for ms in range(12500, 13500, 2))
     change = last.model_area / late[-1].model_area
     assert abs(change - 1.0) > 0.1 and (change > 1.0) == (second > first)
+
+
+def test_what_areas_told_of_a_finger_is_not_told_of_new_parameters(model: ReducedModel) -> None:
+    material = model.material.vector()
+    before, after = (
+        ParameterSets([ParameterSet("one", 69.0, 0.0, tuple(factor * material))], law=model.law)
+        for factor in (1.0, np.array([1.2, 1.2, 1.0, 1.2]))
+    )
+    estimator, fresh = ContactEstimator(model, before), ContactEstimator(model, after)
+    for ms in range(0, 1500, 2):
+        if ms % 100 == 50:
+            estimator.add_area(T0 + ms * MS, 90e-6, 0.5e-6)
+        (known,), _ = one(estimator, ms, min(0.01 * ms, 1.0)), one(fresh, ms, min(0.01 * ms, 1.0))
+    assert known.area > 1.2 * known.model_area
+    estimator.change_parameters(after)
+    (found,), (wanted,) = one(estimator, 1500, 1.0), one(fresh, 1500, 1.0)
+    assert found.area / found.model_area == pytest.approx(wanted.area / wanted.model_area, rel=0.02)
+    assert found.area_stddev / found.area == pytest.approx(
+        wanted.area_stddev / wanted.area, rel=0.1
+    )
 
 
 def test_a_reset_in_a_measured_contact_takes_the_newest_reading(model: ReducedModel) -> None:

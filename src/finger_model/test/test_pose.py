@@ -225,6 +225,8 @@ def test_aspect_and_tilt_are_found_within_three_degrees(pose):
     assert shape.semi_axis_major / shape.semi_axis_minor == pytest.approx(
         true.semi_axes[0] / true.semi_axes[1], rel=0.03
     )
+    ellipse = math.pi * shape.semi_axis_major * shape.semi_axis_minor
+    assert ellipse == pytest.approx(shape.area, rel=1e-9)
     turn = (shape.angle - true.orientation - DIRECTION + 0.5 * math.pi) % math.pi - 0.5 * math.pi
     if true.semi_axes[0] > 1.1 * true.semi_axes[1]:
         assert abs(turn) < 0.1
@@ -241,6 +243,10 @@ def test_a_finger_whose_place_is_not_known_says_so():
     shape, _ = follow(Pose(1.3, 0.35), place_error=3e-3)
     assert shape.flags & ShapeFlag.TILT_UNCERTAIN
     assert not follow(Pose(1.3, 0.35), torque=False)[0].flags & ShapeFlag.TILT_UNCERTAIN
+    # A long pad that rolls moves little.
+    aside, _ = follow(Pose(1.5), place_error=0.8e-3)
+    assert aside.pitch_stddev < math.radians(2.5) < math.radians(5.0) < aside.roll_stddev
+    assert aside.flags & ShapeFlag.TILT_UNCERTAIN
 
 
 def test_a_torque_that_was_not_tared_is_flagged_and_left_out():
@@ -413,6 +419,45 @@ def test_an_outline_that_comes_again_counts_once():
             estimator.add(estimate(10**9 + 10**8 * k, ROUND, 1.0), (0, 0, -1.0), (0, 0, 0))
         found.append(np.append(estimator.mean, estimator.covariance))
     assert np.array_equal(*found)
+
+
+def test_one_wrong_outline_among_others_does_not_turn_the_finger():
+    """8 mm beside them, such as of a smear."""
+    found = []
+    for aside in (0.0, 8e-3):
+        settings = PoseSettings(pad_place_sd=1e-3)
+        estimator = PoseEstimator(PoseCorrection(Geometry(), Pose(), SKIN), settings)
+        for k in range(9):
+            center = (aside if k == 8 else 0.0, 0.0)
+            outline = MeasuredOutline(center, 7e-3, 6e-3, 0.0, 5e-5, 5e-5, 5e-5)
+            estimator.expect_outline(10**9 + 10**8 * k, outline)
+            estimator.add(estimate(10**9 + 10**8 * k, ROUND, 1.0), (0, 0, -1.0), (0, 0, 0))
+        found.append(estimator.pose)
+    assert found[1].roll == pytest.approx(found[0].roll, abs=0.1)
+    assert found[1].pitch == pytest.approx(found[0].pitch, abs=0.1)
+
+
+def test_an_outline_from_before_a_contact_tells_nothing_of_its_tilt():
+    found = []
+    for outlines in (0, 1):
+        estimator = PoseEstimator(PoseCorrection(Geometry(), Pose(), SKIN))
+        estimator.outlines.delay = 0.1
+        for _ in range(outlines):
+            estimator.expect_outline(10**9 - 5 * 10**7, LIKELY)
+        for k in range(-6, 20):
+            sample = estimate(10**9 + 10**7 * k, ROUND, 0.0 if k < 0 else 1.0)
+            estimator.add(sample, (0, 0, -1.0), (0, 0, 0))
+        found.append(np.append(estimator.mean, estimator.covariance))
+    assert np.array_equal(*found)
+
+
+def test_another_pose_that_is_assumed_begins_the_search_anew():
+    assumed = PoseCorrection(Geometry(), Pose(1.2, 0.3), SKIN)
+    changed, fresh = PoseEstimator(PoseCorrection(Geometry(), Pose(), SKIN)), PoseEstimator(assumed)
+    changed.add(estimate(10**9, ROUND, 1.0), (0, 0, -1.0), (0, 0, 0))
+    changed.assume(assumed)
+    assert changed.pose == fresh.pose == assumed.pose
+    assert np.array_equal(changed.covariance, fresh.covariance)
 
 
 LIKELY = MeasuredOutline((1e-3, -2e-3), 8e-3, 7e-3, 0.5, 5e-5, 8e-5, 7e-5)

@@ -382,6 +382,23 @@ def test_torque_of_a_unit_that_is_not_told_is_left_out(tmp_path: Path) -> None:
     assert wrenches.force[:, 2] == pytest.approx(-1.35) and not wrenches.torque.any()
 
 
+def test_an_area_of_another_unit_is_as_certain_as_in_square_metres(tmp_path: Path) -> None:
+    found = []
+    for name, unit in (("m2", 1.0), ("mm2", 1e-6)):
+        with BagWriter(tmp_path / name) as bag:
+            for i in range(500):
+                stamp = START + i * 2_000_000
+                bag.write("wrench", wrench(stamp, min(0.01 * i, 1.0)))
+                if i % 50 == 25:
+                    area = {"gross_area": 60e-6 / unit, "area_stddev": 2e-6 / unit}
+                    bag.write("contact_area", {"header": {"stamp": stamp}, **area})
+        mapping = TopicMapping.from_mapping({"topics": {"contact_area": {"unit": name}}})
+        blocks: list[EstimateBlock] = []
+        process(tmp_path / name, None, ProcessOptions(mapping=mapping), on_block=blocks.append)
+        found.append((column(blocks, "area")[-1], column(blocks, "area_stddev")[-1]))
+    assert found[1] == pytest.approx(found[0], rel=1e-6)
+
+
 def test_a_bag_of_a_failed_run_is_not_left_behind(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag") as bag:
         bag.write("contact_area", {"header": {"stamp": START}})

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Callable
 from itertools import pairwise
@@ -148,17 +149,21 @@ def write_press(bag: BagWriter, begin: int) -> None:
             bag.write("contact_area", fields)
 
 
+def write_attempt(folder: Path, attempt: int, completed: bool) -> None:
+    with BagWriter(folder / f"004_dry_{attempt}", {"condition": "dry"}) as bag:
+        begin = START + attempt * 10_000_000_000
+        trial = {"session": "s", "condition": "dry", "index": 4, "attempt": attempt}
+        bag.write("trial", {"header": {"stamp": begin}, "phase": 3, **trial})
+        write_press(bag, begin)
+        if completed:
+            end = {"header": {"stamp": begin + 4_000_000_000}, "phase": 6}
+            bag.write("trial", {**end, **trial})
+
+
 def test_an_attempt_that_was_not_completed_does_not_replace_one_that_was(tmp_path: Path) -> None:
     """Such as that of a crash, in a bag that nobody could mark."""
     for attempt, completed in enumerate([False, True, False]):
-        with BagWriter(tmp_path / f"004_dry_{attempt}", {"condition": "dry"}) as bag:
-            begin = START + attempt * 10_000_000_000
-            trial = {"session": "s", "condition": "dry", "index": 4, "attempt": attempt}
-            bag.write("trial", {"header": {"stamp": begin}, "phase": 3, **trial})
-            write_press(bag, begin)
-            if completed:
-                end = {"header": {"stamp": begin + 4_000_000_000}, "phase": 6}
-                bag.write("trial", {**end, **trial})
+        write_attempt(tmp_path, attempt, completed)
     found = load_trials(tmp_path)
     assert [t.attempt for t in found] == [1]
     assert [e.reason for e in found.exclusions] == [
@@ -168,6 +173,18 @@ def test_an_attempt_that_was_not_completed_does_not_replace_one_that_was(tmp_pat
     # Where none was completed, the last one is all there is.
     shutil.rmtree(tmp_path / "004_dry_1")
     assert [t.attempt for t in load_trials(tmp_path)] == [2]
+
+
+def test_a_trial_done_again_counts_once_also_in_another_folder_or_by_its_file(
+    tmp_path: Path,
+) -> None:
+    """A disk that was full has the failed attempt, and another one the trial."""
+    write_attempt(tmp_path / "full", 0, completed=False)
+    write_attempt(tmp_path / "next", 1, completed=True)
+    write_attempt(tmp_path / "next", 2, completed=True)
+    assert [t.attempt for t in load_trials([tmp_path / "full", tmp_path / "next"])] == [2]
+    files = sorted(tmp_path.rglob("*.mcap"))
+    assert len(files) == 3 and [t.attempt for t in load_trials(files)] == [2]
 
 
 def test_a_trial_names_its_finger(tmp_path: Path) -> None:
@@ -357,9 +374,10 @@ def test_bad_mappings_are_refused(data: dict[str, Any], word: str) -> None:
         TopicMapping.from_mapping(data)
 
 
-@pytest.mark.parametrize("images", [False, True])
-def test_a_clock_that_differs_is_moved_by_a_mapping(tmp_path: Path, images: bool) -> None:
-    late = 0.3
+@pytest.mark.parametrize(("images", "late"), [(False, 0.3), (True, 0.3), (False, -0.3)])
+def test_a_clock_that_differs_is_moved_by_a_mapping(
+    tmp_path: Path, images: bool, late: float
+) -> None:
     path = tmp_path / "bag"
     with BagWriter(path, {"condition": "dry", "subject": "S01"}) as bag:
         for t in np.arange(0, 4 * 4.0, 0.002):
@@ -381,18 +399,22 @@ def test_a_clock_that_differs_is_moved_by_a_mapping(tmp_path: Path, images: bool
         checks = {c.name: c for c in validate(path, read).checks}
         assert checks[f"log time of {name}"].status == "ok"
         if not images:
-            assert checks["sync of force and image"].status == ("fail" if lag else "ok")
+            sync = checks["sync of force and image"]
+            assert sync.status == ("fail" if lag else "ok")
+            moved = re.search(r"move them by (\S+) s", sync.detail)
+            assert float(moved[1] if moved else 0) == pytest.approx(-lag, abs=0.04)
         run = process(path, tmp_path / f"out{lag}", ProcessOptions(read.mapping, **options))
         assert ("MODEL_MISMATCH" in str(run.notes)) or not lag
 
 
 def test_an_untared_force_of_another_lab_is_not_fit_for_use(tmp_path: Path) -> None:
-    for tare in (0.0, 0.5):
+    """From the first press on, or since one of them: the worst one counts."""
+    for tare, since in ((0.0, 0.0), (0.5, 0.0), (-0.15, 16.0)):
         path = tmp_path / f"bag{tare}"
         with BagWriter(path, {"condition": "dry", "subject": "S01"}) as bag:
             for t in np.arange(0, 8 * 4.0, 0.002):
                 stamp, force = START + round(t * 1e9), float(press_force(np.array(t % 4.0)))
-                bag.write("wrench", wrench(stamp, force + tare))
+                bag.write("wrench", wrench(stamp, force + (tare if t >= since else 0.0)))
                 if round(t * 500) % 50 == 0:
                     area = 60e-6 * force**0.4
                     fields = {"header": {"stamp": stamp}, "gross_area": area}
