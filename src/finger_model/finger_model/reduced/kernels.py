@@ -178,6 +178,9 @@ def record_types(latents: int, frictions: int, drive_width: int, contact_width: 
                 ("slow", "f8", (3 + k,)),
                 ("guess", "f8", (3 + k,)),  # between the two
                 ("mix", "f8", (MIX_INPUTS + k,)),
+                ("branches", "f8", (MOST_BRANCHES, k)),  # of the state before a step, as the next
+                ("friction", "f8", (m,)),
+                ("start", "f8", (1 + k,)),  # its drive
                 ("rest", "f8"),  # R
                 ("rest_slope", "f8", (k,)),  # ∂R/∂a
                 ("toward", "f8", (k,)),  # ∂ρ/∂a
@@ -545,14 +548,38 @@ def _strain(net, par, state, work, x):
 
 
 @njit(cache=True)
+def _keep(state, work):
+    """Keep what a step changes of a state, but for the force."""
+    work.branches[:, :] = state.branches
+    work.friction[:] = state.friction
+    work.start[:] = state.drive
+
+
+@njit(cache=True)
+def _take_back(state, work):
+    """The state as it was kept."""
+    state.branches[:, :] = work.branches
+    state.friction[:] = work.friction
+    state.drive[:] = work.start
+    for i in range(len(state.amplitudes)):
+        state.amplitudes[i] = 0.0
+        for b in range(MOST_BRANCHES):
+            state.amplitudes[i] += state.branches[b, i]
+
+
+@njit(cache=True)
 def _advance(net, par, state, work, dt, force):
     """Advance by dt (s) to `force` (N), reached linearly from the force before.
 
-    The force is clipped to 0 … force_limit. Where the step fails, the finger stays at the last force
-    that it could be followed to.
+    The force is clipped to 0 … force_limit. A step that fails leaves the finger as it was, until
+    the force is no larger than the one of that state.
     """
-    state.failed = 0
     goal = min(max(force, 0.0), par.force_limit)
+    if state.failed and goal > state.force:
+        return
+    state.failed = 0
+    before = state.force
+    _keep(state, work)
     n = par.branches
     crept, fraction, tau = state.crept[:n], par.fraction[:n], par.tau[:n]
     while True:
@@ -560,6 +587,8 @@ def _advance(net, par, state, work, dt, force):
         h = allowed_step(crept, fraction, tau, par.force_scale, dt, start, goal)
         end = goal if h >= dt else start + (goal - start) * h / dt
         if not _move(net, par, state, work, h, end):
+            _take_back(state, work)
+            state.force = before
             state.failed = 1
             break
         creep(crept, fraction, tau, h, start, end)

@@ -137,14 +137,33 @@ class ReducedModel:
     @property
     def measured_error(self) -> dict[str, Any]:
         """Errors measured when the file was built: for the population, those of the region in which
-        the finger lies."""
+        the finger lies with the law's default parameters."""
+        return self.error_of(self.material.vector())
+
+    def error_of(
+        self, parameters: np.ndarray | ConstitutiveLaw, force: float = 0.0
+    ) -> dict[str, Any]:
+        """The same of these parameters, in contacts up to a force (N)."""
         error = dict(self.meta["measured_error"])
-        return dict(error.get(self.region, {})) if self.serves_population else error
+        if not self.serves_population:
+            return error
+        return dict(error.get(self.region_of(parameters, force), {}))
+
+    def region_of(self, parameters: np.ndarray | ConstitutiveLaw, force: float = 0.0) -> str:
+        """Region of the population box whose stated error holds: "middle" or "whole"."""
+        return population.region_of(self.geometry, self._material(parameters), force)
+
+    def rms_error_of(self, parameters: np.ndarray | ConstitutiveLaw, force: float = 0.0) -> float:
+        """Relative deviation of the area from the full order's, with these parameters, up to a
+        force (N)."""
+        # Over the population the largest errors are those of extreme fingers.
+        figure = "rms_p90" if self.serves_population else "rms_p99"
+        return float(self.error_of(parameters, force).get(figure, 0.01))
 
     @property
-    def region(self) -> str:
-        """Region of the population box whose stated error holds: "middle" or "whole"."""
-        return population.region_of(self.geometry)
+    def rms_error(self) -> float:
+        """The same of the law's default parameters."""
+        return self.rms_error_of(self.material.vector())
 
     @property
     def space(self) -> ParameterSpace:
@@ -207,9 +226,6 @@ class ReducedModel:
         self.latents = self.maps.latents
         self.networks, self.work = self.maps.networks, self.maps.work
         self.hash = _hash_of(self)
-        # Over the population the largest errors are those of extreme fingers.
-        figure = "rms_p90" if self.serves_population else "rms_p99"
-        self.rms_error = float(self.measured_error.get(figure, 0.01))
 
     # Files -----------------------------------------------------------------------------------
 
@@ -385,7 +401,8 @@ class ReducedModel:
 
         constants, state: the kernels' records; time (n,) in s, the state's own being `before`;
         force (n,) in N. NaN from the first row on that cannot be followed: the learned map may have
-        no solution where the tissue hardly carries the force. Raises InputError for a damaged model.
+        no solution where the tissue hardly carries the force. Raises InputError for a damaged
+        model.
         """
         table = np.empty((len(time), 3))
         try:
