@@ -169,7 +169,7 @@ def record_types(latents: int, frictions: int, drive_width: int, contact_width: 
                 ("friction", "f8", (m,)),  # q
                 ("drive", "f8", (1 + k,)),  # δ/L and c at this state
                 ("crept", "f8", (MOST_BRANCHES,)),  # by linear viscoelasticity, see `creep_steps`
-                ("failed", "i8"),  # the last step could not be followed to its end
+                ("failed", "f8"),  # 1: the last step could not be followed to its end
             ]
         ),
         work=np.dtype(
