@@ -248,7 +248,8 @@ def calibrate(
     covariance[:_STATES, :_STATES] = prior.covariance
     covariance[_STATES, _STATES] = prior.moisture_variance
     inverse = np.linalg.inv(covariance + _SMALLEST_VARIANCE * np.eye(_STATES + 1))
-    scatter, misfit = People.default().press_gain, max(prior.misfit_sd, model.rms_error)
+    error = model.rms_error_of(selected.parameters, max(float(p.force.max()) for p in good))
+    scatter, misfit = People.default().press_gain, max(prior.misfit_sd, error)
     problem = _Problem(model, selected.constants, good, own, mean, inverse, misfit)
     fit = _solve(problem, scatter)
     if fit.spread > MOST_SCATTER:

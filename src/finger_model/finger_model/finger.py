@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from finger_common.errors import InputError
+from finger_common.errors import InputError, ModelError
 
 from .geometry import Geometry
 from .history import ContactHistory
@@ -79,12 +79,12 @@ def simulate_reduced(
     """Contact (see `ReducedModel.simulate`) by the most exact reduced model that serves a finger.
 
     Without a file that is the one of the default finger and, for materials and forces that it does
-    not serve, the one of the population box. Raises the InputError of the last one.
+    not serve, the one of the population box. Raises the error of the last one.
     """
     model = ReducedModel.load(model_file or None, geometry)
     try:
         return model.for_material(material).simulate(material, time, force)
-    except InputError:
+    except (InputError, ModelError):
         if not model.gives_way:
             raise
     return load_population(geometry).for_material(material).simulate(material, time, force)

@@ -14,9 +14,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from finger_common.errors import InputError, ModelError
 from finger_common.flags import AreaFlag, StateFlag
 from finger_model.estimator import ContactEstimate, ContactEstimator, EstimatorSettings, stream
-from finger_model.parameter_sets import ParameterSets
+from finger_model.geometry import Geometry
+from finger_model.parameter_sets import ParameterSet, ParameterSets
 from finger_model.reduced import ReducedModel
 
 T0 = 1_700_000_000_000_000_000
@@ -553,6 +555,46 @@ def test_contacts_beyond_the_models_force_teach_nothing_of_the_finger(
         if a.normal_force > 0.1:
             assert b.area == pytest.approx(a.area, rel=0.02)
             assert b.area_stddev == pytest.approx(a.area_stddev, rel=0.05)
+
+
+def test_a_force_that_the_tissue_hardly_carries_is_flagged_and_forgotten() -> None:
+    """The reduced model has no solution there: it gave any area without a word."""
+    geometry = Geometry(
+        pad_semi_axis_radial=6.8e-3,
+        pad_semi_axis_axial=4.9e-3,
+        epidermis_thickness=0.3e-3,
+        bone_semi_axis_radial=3.2e-3,
+        bone_semi_axis_axial=2.2e-3,
+        nail_radius=5.6e-3,
+    )
+    soft = 273e3, 19.7e3, 0.0046, 109e3
+    model = ReducedModel.load(geometry=geometry)
+    sets = ParameterSets([ParameterSet("soft", 60.0, 1.0, soft)])
+    estimator, fresh = ContactEstimator(model, sets), ContactEstimator(model, sets)
+    limit = estimator.force_limit
+
+    def hard(t: float) -> float:
+        return limit * max(0.0, 1.0 - abs(t - 4.0) / 3.0)
+
+    found = feed(estimator, 0.0, 8.0, hard)
+    beyond = flagged(found, StateFlag.FORCE_OUT_OF_RANGE)
+    first = beyond.index(True)
+    assert found[first].normal_force < 0.9 * limit
+    for e, out in zip(found, beyond):
+        assert not e.flags & StateFlag.MODEL_FAILED and np.isfinite(e.area)
+        if out:
+            assert e.area == pytest.approx(found[first - 1].area, rel=0.02)
+    assert not any(beyond[: first - 1]) and not any(beyond[7200 // PERIOD :])
+    feed(fresh, 7.0, 8.0, lambda t: 0.0)
+    for a, b in zip(feed(estimator, 8.0, 12.0, press), feed(fresh, 8.0, 12.0, press)):
+        assert not a.flags & StateFlag.FORCE_OUT_OF_RANGE
+        assert a.area == pytest.approx(b.area, rel=0.02)
+    with pytest.raises(ModelError, match=r"cannot follow the force of .* ask for less"):
+        estimator.predict(np.array([0.5, 20.0]), np.full(2, 0.99 * limit))
+    with pytest.raises(InputError, match="ask for less"):
+        estimator.force_for_area(2.0 * found[first - 1].area, 20.0)
+    force = estimator.force_for_area(0.3 * found[first - 1].area, 20.0)
+    assert 0.0 < force < 0.9 * limit
 
 
 @pytest.mark.parametrize("prior", [True, False], ids=["people", "without prior"])

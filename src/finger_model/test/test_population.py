@@ -14,13 +14,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from finger_common.errors import InputError
+from finger_common.errors import InputError, ModelError
 from finger_model.anthropometry import estimate_geometry
 from finger_model.compiled import njit
+from finger_model.estimator import ContactEstimator, EstimatorSettings
 from finger_model.fem.full_order import FullOrderModel
 from finger_model.geometry import Geometry
 from finger_model.laws import StandardLinearSolid
 from finger_model.laws.generalized_maxwell import LAWS_BY_BRANCHES
+from finger_model.parameter_sets import ParameterSet, ParameterSets
 from finger_model.reduced import ReducedModel
 from finger_model.reduced.kernels import _drive, _drive_jacobian, record_types
 from finger_model.reduced.model import load_population
@@ -110,8 +112,43 @@ def test_the_error_is_stated_by_region() -> None:
     wide = ReducedModel.load(
         geometry=Geometry(**{k: 11.9 / 7 * v for k, v in SLIM.to_dict().items()})
     )
-    assert (middle.region, wide.region) == ("middle", "whole")
+    assert (middle.region_of(SOFT), wide.region_of(SOFT)) == ("middle", "whole")
     assert middle.rms_error < wide.rms_error
+
+
+@pytest.mark.parametrize(
+    ("change", "force", "region"),
+    [
+        ({}, 2.0, "middle"),
+        ({}, 8.0, "whole"),
+        ({"E2": 0.4 * SOFT.E0}, 1.0, "whole"),
+        ({"E0": 300e3}, 1.0, "whole"),
+        ({"E1": 7e3}, 1.0, "whole"),
+        ({"E1": 12e3}, 1.0, "middle"),
+    ],
+)
+def test_the_stated_error_is_that_of_the_parameters_and_the_force(
+    change: dict, force: float, region: str
+) -> None:
+    model = ReducedModel.load(geometry=SLIM)
+    material = replace(SOFT, **change)
+    stated = model.meta["measured_error"][region]
+    assert model.region_of(material, force) == region
+    assert model.error_of(material, force) == stated
+    assert model.rms_error_of(material, force) == stated["rms_p90"]
+
+
+def test_the_estimator_is_less_certain_where_the_stated_error_is_larger() -> None:
+    model = ReducedModel.load(geometry=SLIM)
+    deviations = []
+    for E2 in (501e3, 0.99 * 700e3 / 1.5):
+        sets = ParameterSets([ParameterSet("x", 60.0, 1.0, (60e3, 30e3, 0.1, E2))])
+        settings = EstimatorSettings(prior_area_sd=1e-3, contact_area_sd=1e-3, slope_sd=1e-3)
+        estimator = ContactEstimator(model, sets, settings)
+        for ms in range(0, 1000, 2):
+            (found,) = estimator.add_wrench(ms * 1_000_000, (0.0, 0.0, -1e-3 * ms))
+        deviations.append(found.area_stddev / found.area)
+    assert deviations[1] > 1.3 * deviations[0]
 
 
 def test_friction_nail_and_stiffening_matter_as_in_the_full_order() -> None:
@@ -149,6 +186,71 @@ def test_streaming_batch_and_simulation_agree_to_the_bit() -> None:
         model.step(state, dt, f).area for dt, f in zip(np.diff(PRESS[0], prepend=0.0), PRESS[1])
     ]
     assert np.array_equal(steps, simulated)
+
+
+YIELDING = StandardLinearSolid(E0=273e3, E1=19.7e3, tau1=0.0046, E2=109e3, friction=0.05)
+THIN = Geometry(
+    pad_semi_axis_radial=6.8e-3,
+    pad_semi_axis_axial=4.9e-3,
+    epidermis_thickness=0.3e-3,
+    bone_semi_axis_radial=3.2e-3,
+    bone_semi_axis_axial=2.2e-3,
+    nail_radius=5.6e-3,
+)
+"""Inside the box, but a slow load of this finger and tissue reaches the bone below the limit."""
+
+
+@pytest.mark.parametrize("rows", [25, 121, 1201])
+@pytest.mark.parametrize("material", [YIELDING, replace(YIELDING, E1=14e3, E2=130e3)])
+def test_a_slow_press_does_not_depend_on_its_rows_until_it_is_refused(
+    material: StandardLinearSolid, rows: int
+) -> None:
+    """The learned map has no solution there: it gave falling areas and indentations of 260 mm."""
+    model = ReducedModel.load(geometry=THIN).for_material(material)
+    vector = material.vector()
+    share = np.linspace(0.0, 1.0, rows)
+    time, force = 30.0 * share, 0.999 * model.force_limit(vector) * share**1.5
+    (found,) = model.contacts(vector, [(time, force)])
+    area, indentation = found[:, 0]
+    lost = np.isnan(area)
+    first = int(np.argmax(lost))
+    assert 0.25 * force[-1] < force[first] < 0.95 * force[-1]
+    assert lost[first:].all() and np.isnan(indentation[first:]).all()
+    soft = THIN.pad_semi_axis_axial - THIN.bone_semi_axis_axial
+    assert indentation[:first].max() < soft
+    with pytest.raises(ModelError, match=r"cannot follow the force of .* N at t = .*--solver full"):
+        model.simulate(vector, time, force)
+    kept = slice(0, first)
+    assert np.array_equal(model.simulate(vector, time[kept], force[kept]).area, area[kept])
+    few = 0.999 * model.force_limit(vector) * np.linspace(0.0, 1.0, 241) ** 1.5
+    (other,) = model.batch(vector, [(np.linspace(0.0, 30.0, 241), few)])
+    at = np.linspace(0.1, 0.9, 5) * force[first - 1]
+    there = np.interp(at, few, other[0])
+    assert np.abs(np.interp(at, force[kept], area[kept]) / there - 1.0).max() < 0.02
+
+
+def test_one_candidate_that_cannot_carry_the_load_leaves_the_others() -> None:
+    model = ReducedModel.load(geometry=THIN).for_material(YIELDING)
+    stiff = replace(YIELDING, E1=150e3, E2=2e6)
+    time = np.linspace(0.0, 30.0, 121)
+    trial = time, 0.999 * model.force_limit(YIELDING.vector()) * time / 30.0
+    vectors = np.array([stiff.vector(), YIELDING.vector(), stiff.vector()])
+    (found,) = model.batch(vectors, [trial])
+    assert np.isfinite(found[[0, 2]]).all() and np.isnan(found[1, -1])
+    assert np.array_equal(found[0], model.simulate(stiff.vector(), *trial).area)
+
+
+def test_a_step_that_fails_leaves_the_finger_as_it_was() -> None:
+    model = ReducedModel.load(geometry=THIN).for_material(YIELDING)
+    state = model.start(YIELDING)
+    limit = model.force_limit(YIELDING)
+    points = [model.step(state, 0.25, limit * share) for share in np.linspace(0.0, 1.0, 101)]
+    assert points[-1].force < 0.9 * limit
+    assert np.diff([p.area for p in points]).min() > -0.02 * points[-1].area
+    assert points[-1].indentation < THIN.pad_semi_axis_axial
+    released = [model.step(state, 0.25, f) for f in np.linspace(0.3 * limit, 0.0, 21)]
+    assert released[-1].area == 0.0 and released[-1].force == 0.0
+    assert abs(model.step(state, 60.0, 0.0).indentation) < 1e-6
 
 
 def test_another_finger_has_another_hash() -> None:

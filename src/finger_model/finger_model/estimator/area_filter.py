@@ -67,6 +67,9 @@ HULL = 3.0
 """Standard deviations of the newest area by which an estimate may leave the span of prediction
 and measurement."""
 
+LEAST_FORCE = 0.05
+"""N, below which φ is held."""
+
 _ITERATIONS = 20
 
 FILTER_BANK = np.dtype(
@@ -118,9 +121,9 @@ MOST_SURPRISE = 25.0
 def regressors(noise, force, limit, sensitivity, gain, h):
     """Fill h (9,): answer of ln A (gain 1) or ln δ (its gain) with sensitivities (3,) to x.
 
-    force: N, of which φ is held below 0.05 N and above the model's `limit` (N).
+    force: N, of which φ is held below LEAST_FORCE and above the model's `limit` (N).
     """
-    phi = math.log(min(max(force, 0.05), limit))
+    phi = math.log(min(max(force, LEAST_FORCE), limit))
     h[0] = gain
     h[1] = gain * phi
     moisture = gain * (noise.moisture_direction[0] + noise.moisture_direction[1] * phi)

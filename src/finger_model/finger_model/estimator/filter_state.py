@@ -101,7 +101,8 @@ class FilterState:
         noise["slope_variance"] = prior.slope_sd**2
         noise["drift_variance"] = prior.drift_sd**2
         config["peak"] = prior.peak_mean, prior.peak_sd
-        errors = self.model.rms_error, prior.misfit_sd, self.pose_correction.area_sd
+        own = self.model.rms_error_of(selected.parameters)
+        errors = own, prior.misfit_sd, self.pose_correction.area_sd
         noise["model_variance"] = sum(error**2 for error in errors)
         self.base = selected.constants
         if new:

@@ -104,8 +104,10 @@ def shift_to(members, mean):
 
 @njit(cache=True)
 def differ(finger, members, j):
-    """Sensitivities of direction j from the present states."""
+    """Sensitivities of direction j from the present states, if both could be followed to here."""
     here, there = finger[0], finger[1 + j]
+    if here.failed or there.failed:
+        return
     if here.area > 0.0 and there.area > 0.0:
         members.area[j] = math.log(there.area / here.area) / STEPS[j]
     if here.indentation > 0.0 and there.indentation > 0.0:
@@ -152,11 +154,14 @@ def follow(net, par, finger, work, members, before, time, force, table):
     """Area (m²), indentation (m), peak pressure (Pa) and both sensitivities (n, 9) along a future.
 
     All members go along with the finger from `before` (s); time (n,) in s, force (n,) in N;
-    members (1,): scratch.
+    members (1,): scratch. Returns the first row that the finger could not follow, n without one.
     """
+    first = len(time)
     for i in range(len(time)):
         for j in range(1 + DIRECTIONS):
             rk.step(net, par[j : j + 1], finger[j : j + 1], work, time[i] - before, force[i])
+        if finger[0].failed:
+            first = min(first, i)
         before = time[i]
         table[i, 0] = finger[0].area
         table[i, 1] = finger[0].indentation
@@ -165,3 +170,4 @@ def follow(net, par, finger, work, members, before, time, force, table):
             differ(finger, members[0], j)
             table[i, 3 + j] = members[0].area[j]
             table[i, 3 + DIRECTIONS + j] = members[0].indentation[j]
+    return first

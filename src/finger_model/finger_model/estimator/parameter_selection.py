@@ -171,7 +171,8 @@ def _contact(sets: ParameterSets, settings: EstimatorSettings) -> tuple[float, f
 
 
 def _answers(model: ReducedModel, parameters: np.ndarray) -> np.ndarray:
-    """How the finger states (5, n) answer to the logarithms of the n parameters, in one press."""
+    """How the finger states (5, n) answer to the logarithms of the n parameters, in one press, as
+    far as the model follows it."""
     space, n = model.space, len(parameters)
     shifts = _LOG_STEP * np.vstack([np.zeros(n), np.eye(n)])
     shifted = space.from_log(space.to_log(parameters) + shifts)
@@ -185,4 +186,6 @@ def _answers(model: ReducedModel, parameters: np.ndarray) -> np.ndarray:
     sensitivities = near.follow(0.0, _TIME, _FORCE).sensitivities
     h = np.column_stack([np.ones(len(_TIME)), np.log(_FORCE), sensitivities])
     changes = (np.array(areas[1:]) - areas[0]).T / _LOG_STEP
+    followed = np.isfinite(changes).all(axis=1)
+    h, changes = h[followed], changes[followed]
     return np.linalg.solve(h.T @ h + np.diag(_RIDGE), h.T @ changes)

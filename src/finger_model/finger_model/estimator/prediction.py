@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from finger_common.errors import InputError
+from finger_common.errors import InputError, ModelError
 
 from ..history import ContactHistory, check_force_history
 from ..reduced.model import history_of
@@ -29,7 +29,7 @@ def predict(state: FilterState, time: np.ndarray, force: np.ndarray) -> ContactH
 
     The area is the fused one: the model's with the error known so far. Raises InputError for a bad
     history, one of more than MOST_POINTS or beyond LONGEST_HORIZON, or a force beyond the model's
-    limit.
+    limit, and ModelError for a force that it cannot follow.
     """
     time, force = check_force_history(time, force, "force to predict")
     if len(time) > MOST_POINTS:
@@ -48,14 +48,21 @@ def predict(state: FilterState, time: np.ndarray, force: np.ndarray) -> ContactH
             f"force {force.max():.2f} N is beyond the model's limit of {limit:.2f} N for these "
             "parameters; ask for less"
         )
-    return history_of(time, force, state.predicted(time, force))
+    table = state.predicted(time, force)
+    if not np.isfinite(table).all():
+        row = int(np.argmin(np.isfinite(table).all(axis=1)))
+        raise ModelError(
+            f"the model cannot follow the force of {force[row]:.3g} N in {time[row]:.3g} s: these "
+            "parameters hardly carry it; ask for less"
+        )
+    return history_of(time, force, table)
 
 
 def force_for_area(state: FilterState, area: float, horizon: float) -> float:
     """Normal force (N) that, applied now and held for `horizon` (s), gives this area (m²).
 
     By bisection. Raises InputError for an area that is not positive or beyond what the force limit
-    gives.
+    gives, or the largest force that the model can follow.
     """
     if not (math.isfinite(area) and area > 0):
         raise InputError(f"area is {area} m², a positive area is needed")
@@ -67,10 +74,13 @@ def force_for_area(state: FilterState, area: float, horizon: float) -> float:
         return float(state.predicted(time, np.full(len(time), force))[-1, 0])
 
     low, high = 0.0, float(state.constants["force_limit"][0])
-    largest = area_at(high)
-    if not math.isfinite(largest):
+    if not math.isfinite(area_at(low)):
         raise InputError("the model could not follow the contact; lift the finger, then ask again")
-    if largest < area:
+    for _ in range(_BISECTIONS):
+        if math.isfinite(largest := area_at(high)):
+            break
+        high *= 0.9
+    if not largest >= area:
         raise InputError(
             f"area {area * 1e6:.1f} mm² is beyond the {largest * 1e6:.1f} mm² that the "
             f"largest force of the model ({high:.2f} N) gives; ask for less"

@@ -223,11 +223,26 @@ def _follow_contact(config, state, normal_force, stamp):
 
 
 @njit(cache=True)
-def _follow_limit(state, normal_force, limit, stamp):
-    """From a force (N) beyond the model's limit on, a contact tells nothing of the finger: neither
-    the area there, nor what the tissue has gone through, is the model's."""
+def _limit(par, finger):
+    """Force (N) up to which the model knows the contact: the force that it holds where it cannot
+    follow."""
+    if finger.failed:
+        return max(finger.force, area_filter.LEAST_FORCE)
+    return par.force_limit
+
+
+@njit(cache=True)
+def _is_beyond(par, finger, normal_force):
+    """Whether the model holds another force than this one (N)."""
+    return finger.failed != 0 or normal_force > par.force_limit
+
+
+@njit(cache=True)
+def _follow_limit(state, beyond, stamp):
+    """From a force `beyond` the model's on, a contact tells nothing of the finger: neither the area
+    there, nor what the tissue has gone through, is the model's."""
     contact = state.contact
-    if contact.touching and normal_force > limit and not contact.beyond:
+    if contact.touching and beyond and not contact.beyond:
         contact.beyond = True
         if not _offset_suspected(contact, stamp):
             area_filter.keep(state.filters, state.before)
@@ -374,7 +389,8 @@ def _advance_model(net, base, par, finger, work, config, state, stamp, normal_fo
     stream.started = True
     _see_noise(stream, dt, normal_force)
     rk.step(net, par, finger, work, dt, normal_force)
-    if normal_force < config.liftoff_force and not math.isfinite(finger[0].indentation):
+    lost = finger[0].failed != 0 or not math.isfinite(finger[0].indentation)
+    if normal_force < config.liftoff_force and lost:
         # A model that could not follow a contact starts again from rest in the air.
         members.rest(net, par, finger, work)
         near.stamp[:] = stamp
@@ -388,7 +404,7 @@ def _advance_model(net, base, par, finger, work, config, state, stamp, normal_fo
         members.renew(net, par, finger, work, near, normal_force)
     else:
         members.advance(net, par, finger, work, near, stamp, normal_force, False)
-    _follow_limit(state, normal_force, par[0].force_limit, stamp)
+    _follow_limit(state, _is_beyond(par[0], finger[0], normal_force), stamp)
     gain, _ = _pose_gain(config, finger[0].area)
     _remember(state.memory, stamp, normal_force, gain * finger[0].area, near.area)
 
@@ -515,7 +531,7 @@ def process(net, base, par, finger, work, configuration, states, stamps, forces,
         stream.last_stamp = stamp
         if valid:
             _advance_model(net, base, par, finger, work, config, state, stamp, normal_force)
-            if normal_force > par[0].force_limit:
+            if _is_beyond(par[0], finger[0], normal_force):
                 flags |= FLAG.FORCE_OUT_OF_RANGE
             if (
                 lateral_force > config.lateral_ratio * max(normal_force, 0.0)
@@ -524,7 +540,7 @@ def process(net, base, par, finger, work, configuration, states, stamps, forces,
                 flags |= FLAG.LATERAL_LOAD
         else:
             flags |= FLAG.FORCE_INVALID
-        limit = par[0].force_limit  # of the finger that an onset may have moved
+        limit = _limit(par[0], finger[0])  # of the finger that an onset may have moved
         while used < len(areas) and areas[used].stamp + config.fusion_delay <= stamp:
             area = areas[used]
             if not _fuse(config, state, area.stamp, area.area, area.sd, limit):
@@ -590,7 +606,7 @@ def held_area(par, finger, configuration, states):
     if not (state.contact.touching and state.filters.measured and finger[0].area > 0.0):
         return math.nan
     gain, _ = _pose_gain(config, finger[0].area)
-    error = _fused_error(config, state, finger[0], par[0].force_limit, True)
+    error = _fused_error(config, state, finger[0], _limit(par[0], finger[0]), True)
     return math.log(gain * finger[0].area) + error
 
 
@@ -612,7 +628,7 @@ def take_parameters(net, base, par, finger, work, configuration, states, held):
     # Areas that are under way are compared with the model as it is now.
     moved = math.log(gain * finger[0].area / memory.area[(memory.next - 1) % REMEMBERED])
     memory.area[:] *= math.exp(moved)
-    error = _fused_error(config, state, finger[0], par[0].force_limit, False)
+    error = _fused_error(config, state, finger[0], _limit(par[0], finger[0]), False)
     own = held - math.log(gain * finger[0].area) - error
     area_filter.shift_contact(state.filters, own, -moved)
 
@@ -631,11 +647,13 @@ def predicted(net, par, finger, work, near, configuration, states, time, force, 
     """Fused area (m²), indentation (m) and peak pressure (Pa) (n, 3) under a future force.
 
     finger (4,) goes along, near (1,) MEMBERS is scratch; time (n,) in s from now, force (n,) in N.
+    NaN from the first row on that the model cannot follow.
     """
     config, state = configuration[0], states[0]
     filters, noise = state.filters, config.noise
     found = np.empty((len(time), 3 + 2 * members.DIRECTIONS))
-    members.follow(net, par, finger, work, near, 0.0, time, force, found)
+    first = members.follow(net, par, finger, work, near, 0.0, time, force, found)
+    found[first:, :3] = math.nan
     h = np.empty(area_filter.STATES)
     gain, limit = area_filter.GAIN_OF_INDENTATION, par[0].force_limit
     for i in range(len(time)):

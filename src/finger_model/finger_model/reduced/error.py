@@ -10,6 +10,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from finger_common.errors import ModelError
+
 from ..laws import law_of
 from .model import ReducedModel
 from .training_runs import Run
@@ -131,13 +133,16 @@ class ErrorTable:
 
 
 def pair_error(model: ReducedModel, run: Run) -> PairError | None:
-    """Error along one run; None when fewer than three of its rows count."""
+    """Error along one run; None when fewer than three of its rows count, or the model refuses."""
     model = model.for_law(law_of(run.law))
     limit = model.force_limit(run.parameters)
     counted = (run.force >= COUNTED_FORCE) & (np.maximum.accumulate(run.force) <= limit)
     if np.sum(counted) < 3:
         return None
-    found = model.simulate(run.parameters, run.time, np.minimum(run.force, limit))
+    try:
+        found = model.simulate(run.parameters, run.time, np.minimum(run.force, limit))
+    except ModelError:
+        return None
     table = np.column_stack([found.area, found.indentation, found.peak_pressure])
     values = zip(model.space, run.parameters)
     named = ", ".join(f"{p.symbol} {p.text(value)} {p.display_unit}" for p, value in values)

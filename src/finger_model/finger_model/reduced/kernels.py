@@ -31,7 +31,9 @@ All Maxwell branches (g_b, τ_b) share the total strain d, and the state follows
     dq_j = (sgn(dδ) − q_j) |d ln δ| / β_j,  q = 1 in the air   (stick after a reversal of the load)
 
 with the exponential integrator for a drive that is linear within a step, implicit in a. A step of
-the caller is divided where the drive is not (`creep_steps`) and where the force changes much. No
+the caller is divided where the drive is not (`creep_steps`) and where the force changes much, and
+again where Newton's method fails. Under loads that the tissue hardly carries the learned drive may
+have no solution; the finger then stays as it was, and its state says so (`failed`). No
 `fastmath`: the order of the additions is that of the source, so that a value does not depend on
 whether it came from a stream or a batch.
 
@@ -85,6 +87,12 @@ _MOST_SUBSTEPS = 4
 _MOST_ITERATIONS = 6
 _CONVERGED = 1e-7
 """Of the amplitudes in Newton's method; they are of the order of 0.1."""
+_ACCEPTED, _LEAST_SIZE = 1e-4, 0.1
+"""Last change of the amplitudes over the strain S, or over the second where S is smaller, beyond
+which a step has failed."""
+_LIGHT = 0.1
+"""x below which none fails: what little strain there is wrong is soon forgotten."""
+_MOST_HALVINGS = 3
 DELTA_FLOOR = 0.01
 """Smallest δ/L that counts for the friction state."""
 
@@ -140,6 +148,7 @@ def record_types(latents: int, frictions: int, drive_width: int, contact_width: 
                 ("fraction", "f8", (MOST_BRANCHES,)),  # g
                 ("tau", "f8", (MOST_BRANCHES,)),  # in s
                 ("force_limit", "f8"),  # N
+                ("deepest", "f8"),  # δ/L at which the skin reaches the bone
                 ("share", "f8"),  # E∞/E0
                 ("curved", "i8"),  # whether `curves` count
                 ("curves", "f8", (2, len(NODES), 2, 3 + k)),  # values, slopes over ln x
@@ -160,6 +169,7 @@ def record_types(latents: int, frictions: int, drive_width: int, contact_width: 
                 ("friction", "f8", (m,)),  # q
                 ("drive", "f8", (1 + k,)),  # δ/L and c at this state
                 ("crept", "f8", (MOST_BRANCHES,)),  # by linear viscoelasticity, see `creep_steps`
+                ("failed", "f8"),  # 1: the last step could not be followed to its end
             ]
         ),
         work=np.dtype(
@@ -168,6 +178,9 @@ def record_types(latents: int, frictions: int, drive_width: int, contact_width: 
                 ("slow", "f8", (3 + k,)),
                 ("guess", "f8", (3 + k,)),  # between the two
                 ("mix", "f8", (MIX_INPUTS + k,)),
+                ("branches", "f8", (MOST_BRANCHES, k)),  # of the state before a step, as the next
+                ("friction", "f8", (m,)),
+                ("start", "f8", (1 + k,)),  # its drive
                 ("rest", "f8"),  # R
                 ("rest_slope", "f8", (k,)),  # ∂R/∂a
                 ("toward", "f8", (k,)),  # ∂ρ/∂a
@@ -482,7 +495,8 @@ def _branch_weights(par, work, dt):
 def _strain(net, par, state, work, x):
     """Internal strain at the end of a step to x, by Newton's method from the weights in `work`.
 
-    Solves a = Σ e_b a_b + Σ g α d + Σ g β (c(a) + a); stable for any ratio of step and τ.
+    Solves a = Σ e_b a_b + Σ g α d + Σ g β (c(a) + a); stable for any ratio of step and τ. False
+    where it finds no solution; the state is then as before.
     """
     a, trial, residual, base = state.amplitudes, work.trial, work.residual, work.base
     k = len(a)
@@ -498,6 +512,7 @@ def _strain(net, par, state, work, x):
         for b in range(par.branches):
             base[i] += weights[0, b] * state.branches[b, i]
         trial[i] = a[i]
+    largest = 0.0
     for _ in range(_MOST_ITERATIONS):
         _drive(net, par, work, x, trial, work.drive)
         _drive_jacobian(net, par, work, x, trial)
@@ -513,6 +528,9 @@ def _strain(net, par, state, work, x):
             largest = max(largest, abs(residual[i]))
         if largest < _CONVERGED:
             break
+    accepted = _ACCEPTED * max(strain_scale(x, trial), _LEAST_SIZE)
+    if not ((largest <= accepted or x < _LIGHT) and work.drive[0] <= par.deepest):
+        return False
     for i in range(k):
         before = state.drive[1 + i] + a[i]
         after = (trial[i] - base[i]) / new if new > 0.0 else 0.0
@@ -526,23 +544,54 @@ def _strain(net, par, state, work, x):
             a[i] += state.branches[b, i]
     # At the very amplitudes of the state, so that `_refresh` finds the same bits.
     _drive(net, par, work, x, a, state.drive)
+    return True
+
+
+@njit(cache=True)
+def _keep(state, work):
+    """Keep what a step changes of a state, but for the force."""
+    work.branches[:, :] = state.branches
+    work.friction[:] = state.friction
+    work.start[:] = state.drive
+
+
+@njit(cache=True)
+def _take_back(state, work):
+    """The state as it was kept."""
+    state.branches[:, :] = work.branches
+    state.friction[:] = work.friction
+    state.drive[:] = work.start
+    for i in range(len(state.amplitudes)):
+        state.amplitudes[i] = 0.0
+        for b in range(MOST_BRANCHES):
+            state.amplitudes[i] += state.branches[b, i]
 
 
 @njit(cache=True)
 def _advance(net, par, state, work, dt, force):
     """Advance by dt (s) to `force` (N), reached linearly from the force before.
 
-    The force is clipped to 0 … force_limit.
+    The force is clipped to 0 … force_limit. A step that fails leaves the finger as it was, until
+    the force is no larger than the one of that state.
     """
     goal = min(max(force, 0.0), par.force_limit)
+    if state.failed and goal > state.force:
+        return
+    state.failed = 0
+    before = state.force
+    _keep(state, work)
     n = par.branches
     crept, fraction, tau = state.crept[:n], par.fraction[:n], par.tau[:n]
     while True:
         start = state.force
         h = allowed_step(crept, fraction, tau, par.force_scale, dt, start, goal)
         end = goal if h >= dt else start + (goal - start) * h / dt
+        if not _move(net, par, state, work, h, end):
+            _take_back(state, work)
+            state.force = before
+            state.failed = 1
+            break
         creep(crept, fraction, tau, h, start, end)
-        _move(net, par, state, work, h, end)
         if h >= dt:
             break
         dt -= h
@@ -550,16 +599,27 @@ def _advance(net, par, state, work, dt, force):
 
 @njit(cache=True)
 def _move(net, par, state, work, dt, end):
-    """As `_advance`, in steps of equal length."""
+    """As `_advance`, in steps of equal length, which are halved where one fails; false where that
+    does not help."""
     q = state.friction
     start = state.force
     jump = abs((end / par.force_scale) ** (1.0 / 3.0) - (start / par.force_scale) ** (1.0 / 3.0))
     steps = min(1 + int(jump / _SUBSTEP), _MOST_SUBSTEPS)
     _branch_weights(par, work, dt / steps)
-    for step in range(1, steps + 1):
+    finest = steps << _MOST_HALVINGS
+    step = 0
+    while step < steps:
+        step += 1
         f = start + (end - start) * step / steps if step < steps else end
         delta = state.drive[0]
-        _strain(net, par, state, work, (f / par.force_scale) ** (1.0 / 3.0))
+        if not _strain(net, par, state, work, (f / par.force_scale) ** (1.0 / 3.0)):
+            if steps == finest:
+                return False
+            step = 2 * (step - 1)
+            steps *= 2
+            _branch_weights(par, work, dt / steps)
+            continue
+        state.force = f
         if f > 0.0:
             change = math.log(max(state.drive[0], DELTA_FLOOR) / max(delta, DELTA_FLOOR))
             sign = 1.0 if change > 0.0 else -1.0
@@ -569,7 +629,7 @@ def _move(net, par, state, work, dt, end):
         else:
             for j in range(len(q)):
                 q[j] = 1.0
-    state.force = end
+    return True
 
 
 @njit(cache=True)
@@ -617,6 +677,7 @@ def _refresh(net, par, state, work):
 @njit(cache=True)
 def _rest(net, par, state, work):
     """Put the state at rest: no load, no internal strain."""
+    state.failed = 0
     state.force = 0.0
     state.amplitudes[:] = 0.0
     state.branches[:, :] = 0.0
@@ -662,26 +723,34 @@ def step(net, par, state, work, dt, force):
 def follow(net, par, state, work, before, time, force, table):
     """Area, indentation and peak pressure (n, 3) along time and force (n,).
 
-    The state that they begin with is that of time `before`.
+    The state that they begin with is that of time `before`. Returns the first row that could not be
+    followed, n without one.
     """
+    first = len(time)
     for i in range(len(time)):
         _advance(net[0], par[0], state[0], work[0], time[i] - before, force[i])
         _pressure_and_area(net[0], par[0], state[0], work[0])
+        if state[0].failed:
+            first = min(first, i)
         before = time[i]
         table[i, 0] = state[0].area
         table[i, 1] = state[0].indentation
         table[i, 2] = state[0].peak_pressure
+    return first
 
 
 @njit(cache=True)
 def _contacts(net, par, state, work, time, force, wanted, out):
     """Areas and indentations out (2, frames) of one trial, each at its index in `wanted` (−1: left
-    out); records: arrays of one."""
+    out), NaN from the first sample on that could not be followed; records: arrays of one."""
     _rest(net[0], par[0], state[0], work[0])
     for i in range(len(time)):
         dt = time[i] - time[i - 1] if i else 0.0
-        _advance(net[0], par[0], state[0], work[0], dt, force[i])
-        if wanted[i] >= 0:
+        if not state[0].failed:
+            _advance(net[0], par[0], state[0], work[0], dt, force[i])
+        if wanted[i] >= 0 and state[0].failed:
+            out[:, wanted[i]] = math.nan
+        elif wanted[i] >= 0:
             out[0, wanted[i]] = _area(net[0], par[0], state[0], work[0])
             out[1, wanted[i]] = par[0].length * state[0].drive[0]
 

@@ -129,7 +129,10 @@ class Maps:
             )
             for material, finger in zip(materials, self.fingers_of(geometry, materials))
         ]
-        return np.concatenate(records)
+        found = np.concatenate(records)
+        bone = geometry.bone_semi_axis_axial - geometry.bone_center_height
+        found["deepest"] = (geometry.pad_semi_axis_axial - bone) / length
+        return found
 
     def parameters_of(
         self,
@@ -139,8 +142,10 @@ class Maps:
         times: np.ndarray,
         finger: Finger,
     ) -> np.ndarray:
-        """The same of length (m), E0 L² (N), fractions and times (s) of the branches, finger."""
+        """The same of length (m), E0 L² (N), fractions and times (s) of the branches, finger; the
+        indentation has no end."""
         record = np.zeros(1, self.types.parameters)
+        record["deepest"] = np.inf
         record["length"] = length
         record["force_scale"] = scale
         record["branches"] = count = len(fractions)

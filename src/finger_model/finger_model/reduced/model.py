@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from finger_common.errors import InputError
+from finger_common.errors import InputError, ModelError
 from finger_common.files import atomic_write, parse_json, parse_npz, read_bytes, sha256_of
 
 from ..geometry import Geometry
@@ -137,14 +137,33 @@ class ReducedModel:
     @property
     def measured_error(self) -> dict[str, Any]:
         """Errors measured when the file was built: for the population, those of the region in which
-        the finger lies."""
+        the finger lies with the law's default parameters."""
+        return self.error_of(self.material.vector())
+
+    def error_of(
+        self, parameters: np.ndarray | ConstitutiveLaw, force: float = 0.0
+    ) -> dict[str, Any]:
+        """The same of these parameters, in contacts up to a force (N)."""
         error = dict(self.meta["measured_error"])
-        return dict(error.get(self.region, {})) if self.serves_population else error
+        if not self.serves_population:
+            return error
+        return dict(error.get(self.region_of(parameters, force), {}))
+
+    def region_of(self, parameters: np.ndarray | ConstitutiveLaw, force: float = 0.0) -> str:
+        """Region of the population box whose stated error holds: "middle" or "whole"."""
+        return population.region_of(self.geometry, self._material(parameters), force)
+
+    def rms_error_of(self, parameters: np.ndarray | ConstitutiveLaw, force: float = 0.0) -> float:
+        """Relative deviation of the area from the full order's, with these parameters, up to a
+        force (N)."""
+        # Over the population the largest errors are those of extreme fingers.
+        figure = "rms_p90" if self.serves_population else "rms_p99"
+        return float(self.error_of(parameters, force).get(figure, 0.01))
 
     @property
-    def region(self) -> str:
-        """Region of the population box whose stated error holds: "middle" or "whole"."""
-        return population.region_of(self.geometry)
+    def rms_error(self) -> float:
+        """The same of the law's default parameters."""
+        return self.rms_error_of(self.material.vector())
 
     @property
     def space(self) -> ParameterSpace:
@@ -207,9 +226,6 @@ class ReducedModel:
         self.latents = self.maps.latents
         self.networks, self.work = self.maps.networks, self.maps.work
         self.hash = _hash_of(self)
-        # Over the population the largest errors are those of extreme fingers.
-        figure = "rms_p90" if self.serves_population else "rms_p99"
-        self.rms_error = float(self.measured_error.get(figure, 0.01))
 
     # Files -----------------------------------------------------------------------------------
 
@@ -340,8 +356,8 @@ class ReducedModel:
         return ReducedState(vector, constants, self.state_at_rest(constants))
 
     def step(self, state: ReducedState, dt: float, force: float) -> ContactPoint:
-        """Advance by dt (s) to `force` (N), which is held between 0 and the force limit; the
-        point's force is the held one, its time counts from rest.
+        """Advance by dt (s) to `force` (N), which is held between 0 and the force limit, or where
+        the model cannot go on; the point's force is the held one, its time counts from rest.
 
         Raises InputError for numbers that are not finite and time that goes back.
         """
@@ -384,16 +400,19 @@ class ReducedModel:
         """Area (m²), indentation (m) and peak pressure (Pa) as columns (n, 3); `state` goes along.
 
         constants, state: the kernels' records; time (n,) in s, the state's own being `before`;
-        force (n,) in N. Raises InputError for a damaged model.
+        force (n,) in N. NaN from the first row on that cannot be followed: the learned map may have
+        no solution where the tissue hardly carries the force. Raises InputError for a damaged
+        model.
         """
         table = np.empty((len(time), 3))
         try:
-            rk.follow(self.networks, constants, state, self.work, before, time, force, table)
+            row = rk.follow(self.networks, constants, state, self.work, before, time, force, table)
         except ZeroDivisionError:
             raise InputError(
                 "reduced model: the file is damaged, its numbers give no contact; build it again "
                 "with 'finger-model reduce'"
             ) from None
+        table[row:] = np.nan
         return table
 
     def simulate(
@@ -404,7 +423,7 @@ class ReducedModel:
         The finger is at rest before time[0], which may carry load.
 
         Raises InputError for time that does not increase, parameters out of range or a force beyond
-        the limit.
+        the limit, and ModelError for a force that cannot be followed.
         """
         time, force = check_force_history(time, force)
         vector = self._vector(material)
@@ -432,6 +451,14 @@ class ReducedModel:
             )
         state = self.state_at_rest(constants)
         table = self.follow(constants, state, time, force, before=time[0])
+        lost = np.isnan(table[:, 0])
+        if lost.any():
+            row = int(np.argmax(lost))
+            raise ModelError(
+                f"the reduced model cannot follow the force of {force[row]:.3g} N at t = "
+                f"{time[row]:.4g} s, which this tissue hardly carries; lower the force or use "
+                "--solver full"
+            )
         return history_of(time, force, table)
 
     def visited(self, parameters: np.ndarray, time: np.ndarray, force: np.ndarray) -> np.ndarray:
@@ -464,7 +491,8 @@ class ReducedModel:
         parameters (P, n): vectors of `space`; trials: (time (n,), force (n,)) or (time, force, rows
         (f,)), increasing rows being the samples that are wanted (all of them without). Returns one
         (2, P, f) array per trial: areas (m²) and indentations (m). Forces beyond the limit are held
-        at it, parameters out of range are not refused: see `out_of_range`.
+        at it, parameters out of range are not refused: see `out_of_range`. From the first sample on
+        that cannot be followed (see `follow`) a trial is NaN.
         """
         parameters = np.atleast_2d(np.asarray(parameters, dtype=float))
         constants = self.constants(*parameters)

@@ -19,6 +19,7 @@ from finger_common.errors import InputError
 from ..geometry import Geometry
 from ..laws import ConstitutiveLaw, MaxwellLaw, StandardLinearSolid
 from ..laws.generalized_maxwell import STIFFENING_RANGE
+from ..paper import SEARCH_BOX
 
 CONTEXT = (
     "pad aspect",
@@ -82,6 +83,8 @@ def largest_force(slow_scale: float, stiffening: float) -> float:
 
 MIDDLE_LENGTHS = (6e-3, 10e-3)
 """m, `pad_semi_axis_radial` of the middle of the box: fingers 12 to 20 mm wide."""
+MIDDLE = {name: (low / 1.5, high * 1.5) for name, (low, high) in SEARCH_BOX.items()}
+"""Moduli of the middle: the paper's box, widened by half."""
 MIDDLE_FORCE = 2.0
 """N, largest force for which the stated error of the middle holds."""
 
@@ -145,10 +148,21 @@ def check_fixed(fixed: dict[str, float]) -> None:
             )
 
 
-def region_of(geometry: Geometry) -> str:
-    """ "middle" or "whole": the part of the box whose stated error holds for a finger."""
+def region_of(geometry: Geometry, material: MaxwellLaw, force: float) -> str:
+    """ "middle" or "whole": the part of the box whose stated error holds for a finger up to a force
+    (N)."""
+    share = material.long_term_fraction
+    E0 = material.instantaneous_modulus
+    moduli = {"E0": E0, "E2": material.epidermis_modulus}
+    if share < 1.0:
+        moduli["E1"] = E0 * share / (1.0 - share)
+    inside = all(
+        MIDDLE[name][0] * (1 - 1e-9) <= value <= MIDDLE[name][1] * (1 + 1e-9)
+        for name, value in moduli.items()
+    )
     low, high = MIDDLE_LENGTHS
-    return "middle" if low <= geometry.pad_semi_axis_radial <= high else "whole"
+    inside &= low <= geometry.pad_semi_axis_radial <= high
+    return "middle" if inside and force <= MIDDLE_FORCE else "whole"
 
 
 def context_of(geometry: Geometry, material: ConstitutiveLaw) -> np.ndarray:

@@ -29,13 +29,14 @@ from ..laws.generalized_maxwell import (
     STIFFENING_RANGE,
     TIME_RANGE,
 )
-from ..paper import FRICTION, SEARCH_BOX
+from ..paper import FRICTION
 from .elastic_contact import linear_guess
 from .force_histories import KINDS, random_history
 from .kernels import NODES
 from .population import (
     BOX,
     LARGEST_LOAD,
+    MIDDLE,
     MIDDLE_FORCE,
     MIDDLE_FRICTION,
     MIDDLE_LENGTHS,
@@ -51,7 +52,6 @@ MOST_SECONDS = 6.0
 """A training run that takes more processor time is cut short."""
 
 WHOLE = {"E0": E0_RANGE, "E1": (6e3, 150e3), "E2": E2_RANGE}
-MIDDLE = {name: (low / 1.5, high * 1.5) for name, (low, high) in SEARCH_BOX.items()}
 SOFT_SHARE = 0.15
 """E∞/E0 below which further histories are run."""
 
