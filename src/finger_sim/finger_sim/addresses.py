@@ -11,7 +11,7 @@ from __future__ import annotations
 import errno
 import secrets
 import socket
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -35,9 +35,13 @@ class RigAddresses:
     @classmethod
     def private(cls, folder: Path) -> RigAddresses:
         """Addresses that no other rig on this machine uses: own port, own group."""
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            probe.bind(("", 0))
-            port = int(probe.getsockname()[1])
+        while True:
+            # Neither a port that the system gives to any socket (from 32768 on), which a node could
+            # have got before the bus opens, nor one of a ROS domain (the first half of each 250).
+            port = 7600 + 250 * secrets.randbelow(100) + secrets.randbelow(50)
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, suppress(OSError):
+                probe.bind(("", port))
+                break
         group = ".".join(str(1 + secrets.randbelow(254)) for _ in range(3))
         return cls(folder, port, f"239.{group}")
 
