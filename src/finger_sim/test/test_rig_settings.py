@@ -54,7 +54,7 @@ def test_rigs_of_other_namespaces_have_other_folders_and_ports() -> None:
     assert all(1024 < a.can_port < 65536 for a in found)
 
 
-def test_a_private_bus_has_a_port_that_no_node_gets_before_it(tmp_path):
+def test_a_private_bus_has_a_port_that_no_node_gets_before_it(tmp_path: Path) -> None:
     """One of the system's own range was taken by a node's middleware before the bus opened."""
     ports = {RigAddresses.private(tmp_path).can_port for _ in range(200)}
     assert len(ports) > 100 and 7400 < min(ports) and max(ports) < 32768
