@@ -76,13 +76,21 @@ def test_a_disk_that_was_pulled_out_is_waited_for(
     recorder.stop()
 
 
-def test_a_removed_folder_is_noticed_and_the_recording_goes_on_beside_it(tmp_path: Path) -> None:
+def recording(
+    bag: Path, metadata: dict[str, str] | None = None
+) -> tuple[Recorder, Feed, list[str]]:
+    """A recorder with messages in its file, what feeds it, and the errors that it tells."""
     errors: list[str] = []
     recorder = Recorder(QUICK, errors.append)
     feed = Feed(recorder)
-    recorder.start(tmp_path / "a" / "bag", {"subject": "S01"})
+    recorder.start(bag, metadata)
     feed(100)
     wait_for(lambda: recorder.counts, "messages in the file")
+    return recorder, feed, errors
+
+
+def test_a_removed_folder_is_noticed_and_the_recording_goes_on_beside_it(tmp_path: Path) -> None:
+    recorder, feed, errors = recording(tmp_path / "a" / "bag", {"subject": "S01"})
     shutil.rmtree(tmp_path / "a")
     wait_for(lambda: errors, "the error", feed)
     assert "removed or renamed" in errors[0] and not recorder.recording
@@ -99,12 +107,7 @@ def test_a_removed_folder_is_noticed_and_the_recording_goes_on_beside_it(tmp_pat
 
 
 def test_what_a_removed_folder_held_is_lost_although_it_was_flushed(tmp_path: Path) -> None:
-    errors: list[str] = []
-    recorder = Recorder(QUICK, errors.append)
-    feed = Feed(recorder)
-    recorder.start(tmp_path / "bag")
-    feed(100)
-    wait_for(lambda: recorder.counts, "messages in the file")
+    recorder, feed, errors = recording(tmp_path / "bag")
     flushed = recorder.last_flush
     wait_for(lambda: recorder.last_flush > flushed, "the next flush", feed)
     shutil.rmtree(tmp_path / "bag")
@@ -114,12 +117,7 @@ def test_what_a_removed_folder_held_is_lost_although_it_was_flushed(tmp_path: Pa
 
 
 def test_a_renamed_folder_keeps_its_messages(tmp_path: Path) -> None:
-    errors: list[str] = []
-    recorder = Recorder(QUICK, errors.append)
-    feed = Feed(recorder)
-    recorder.start(tmp_path / "bag")
-    feed(100)
-    wait_for(lambda: recorder.counts, "messages in the file")
+    recorder, feed, errors = recording(tmp_path / "bag")
     (tmp_path / "bag").rename(tmp_path / "moved")
     wait_for(lambda: errors, "the error", feed)
     result = recorder.stop()

@@ -88,6 +88,21 @@ def test_prescribed_position_is_the_inverse_of_prescribed_force(model):
     assert by_position.state.radius == 0.0
 
 
+@pytest.mark.parametrize(("tissue", "excess"), [((80e3, 25.4e3), 0.05), ((150e3, 15e3), 0.16)])
+def test_rows_of_a_given_position_are_steps_where_tissue_creeps(model, tissue, excess):
+    """As docs/theory.md says of 0.8 mm in 1 ms, held to 0.5 s."""
+    E0, E1 = tissue
+    material = Material(E0=E0, E1=E1, tau1=0.5, E2=1.8e6, friction=0.25)
+    forces = []
+    for rows in (1, 32, 64):
+        stepper = model.start(material)
+        for time in 0.001 + np.linspace(0.0, 0.499, rows + 1):
+            point = stepper.step_to_position(float(time), 0.8e-3)
+        forces.append(point.force)
+    assert forces[1] == pytest.approx(forces[2], rel=0.005)
+    assert forces[0] / forces[2] - 1.0 == pytest.approx(excess, abs=0.005)
+
+
 def test_state_can_be_kept_and_put_back(model):
     stepper = model.start(Material())
     for k in range(1, 6):

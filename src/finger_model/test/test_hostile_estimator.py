@@ -13,11 +13,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from yielding_finger import THIN, YIELDING
 
 from finger_common.errors import InputError, ModelError
 from finger_common.flags import AreaFlag, StateFlag
 from finger_model.estimator import ContactEstimate, ContactEstimator, EstimatorSettings, stream
-from finger_model.geometry import Geometry
 from finger_model.parameter_sets import ParameterSet, ParameterSets
 from finger_model.reduced import ReducedModel
 
@@ -559,16 +559,8 @@ def test_contacts_beyond_the_models_force_teach_nothing_of_the_finger(
 
 def test_a_force_that_the_tissue_hardly_carries_is_flagged_and_forgotten() -> None:
     """The reduced model has no solution there: it gave any area without a word."""
-    geometry = Geometry(
-        pad_semi_axis_radial=6.8e-3,
-        pad_semi_axis_axial=4.9e-3,
-        epidermis_thickness=0.3e-3,
-        bone_semi_axis_radial=3.2e-3,
-        bone_semi_axis_axial=2.2e-3,
-        nail_radius=5.6e-3,
-    )
-    soft = 273e3, 19.7e3, 0.0046, 109e3
-    model = ReducedModel.load(geometry=geometry)
+    soft = YIELDING.E0, YIELDING.E1, YIELDING.tau1, YIELDING.E2
+    model = ReducedModel.load(geometry=THIN)
     sets = ParameterSets([ParameterSet("soft", 60.0, 1.0, soft)])
     estimator, fresh = ContactEstimator(model, sets), ContactEstimator(model, sets)
     limit = estimator.force_limit

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from yielding_finger import THIN, YIELDING
 
 from finger_common.errors import InputError, ModelError
 from finger_model.anthropometry import estimate_geometry
@@ -186,18 +187,6 @@ def test_streaming_batch_and_simulation_agree_to_the_bit() -> None:
         model.step(state, dt, f).area for dt, f in zip(np.diff(PRESS[0], prepend=0.0), PRESS[1])
     ]
     assert np.array_equal(steps, simulated)
-
-
-YIELDING = StandardLinearSolid(E0=273e3, E1=19.7e3, tau1=0.0046, E2=109e3, friction=0.05)
-THIN = Geometry(
-    pad_semi_axis_radial=6.8e-3,
-    pad_semi_axis_axial=4.9e-3,
-    epidermis_thickness=0.3e-3,
-    bone_semi_axis_radial=3.2e-3,
-    bone_semi_axis_axial=2.2e-3,
-    nail_radius=5.6e-3,
-)
-"""Inside the box, but a slow load of this finger and tissue reaches the bone below the limit."""
 
 
 @pytest.mark.parametrize("rows", [25, 121, 1201])
