@@ -6,7 +6,7 @@ The node subscribes to `contact_state` and answers every state with the force to
 `grasp_force` (std_msgs/Float64, N). The controller itself, `AreaController`, uses no ROS. It moves
 slower the less certain the area is. When states are stale or not valid it holds its force, and goes
 on only after they have been good for a while. Only when states come that know nothing of the
-contact, for a second on end, it opens (0 N).
+contact, for a second on end, it opens (0 N). `slip_grip.py` beside it holds a margin against slip.
 """
 
 from __future__ import annotations

@@ -18,9 +18,11 @@ import contextlib
 import functools
 import hashlib
 import os
+import re
 import shutil
 import sys
 import tempfile
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -32,17 +34,22 @@ from finger_common.files import atomic_write
 
 WITHOUT_KERNELS = ("commands", "verification")
 """Folders that no kernel is in."""
+KEPT, RECENT = 3, 86400.0
+"""Folders of kernels that are kept, each of other sources: the most recently used, and those that a
+program was started with so many seconds ago or less."""
+_HASH = re.compile("[0-9a-f]{64}")
 
 
-def keep_kernels(package: Path, *others: str) -> None:
-    """Choose the folder of a package's compiled kernels, and leave no stale ones in it.
+def keep_kernels(package: Path, *others: str) -> bool:
+    """Choose the folder of a package's compiled kernels, and leave no stale ones in it; false where
+    no folder can be written.
 
     Kernels may hold what any source of the package says, but for commands and verification, and
     what the files `others` say. They are kept beside the sources. Where that is impossible, or
     NUMBA_CACHE_DIR names a folder, they are kept in a folder named by the contents of the sources,
-    so that kernels of other sources are never found there. Contents count, not times: a rig may
-    start without knowing the time. A process that runs since before a change of sources may still
-    add old kernels beside them.
+    so that kernels of other sources are never found there; a few such folders are kept. Contents
+    count, not times: a rig may start without knowing the time. A process that runs since before a
+    change of sources may still add old kernels beside them.
     """
     found = (f for f in package.rglob("*.py") if f.parent.name not in WITHOUT_KERNELS)
     files = sorted(f for f in [*found, *map(Path, others)] if f.is_file())
@@ -50,17 +57,27 @@ def keep_kernels(package: Path, *others: str) -> None:
     chosen = config.CACHE_DIR  # type: ignore[attr-defined]
     if not chosen and all(writable(f / "__pycache__") for f in {f.parent for f in files}):
         _forget_stale_kernels(package, sources)
-        return
+        return True
     cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     if chosen and not writable(Path(chosen, sources)):
         print(f"finger_model: NUMBA_CACHE_DIR={chosen} cannot be written", file=sys.stderr)
     for folder in (chosen, os.path.join(cache, "finger_model")):
         # "~" stays where the user has no home.
         if folder and not folder.startswith("~") and writable(Path(folder, sources)):
+            _forget_old_folders(Path(folder), sources)
             break
     else:
-        folder = tempfile.mkdtemp(prefix="finger_model-")
-        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+        folder = ""
+        with contextlib.suppress(OSError):
+            folder = tempfile.mkdtemp(prefix="finger_model-")
+            atexit.register(shutil.rmtree, folder, ignore_errors=True)
+        if not folder or not writable(Path(folder)):
+            print(
+                "finger_model: no folder can be written, not even a temporary one, so each process "
+                "compiles kernels anew, for a minute; NUMBA_CACHE_DIR names another folder",
+                file=sys.stderr,
+            )
+            return False
         os.environ["NUMBA_CACHE_DIR"] = folder  # of child processes, too
         config.reload_config()
         print(
@@ -69,13 +86,15 @@ def keep_kernels(package: Path, *others: str) -> None:
             file=sys.stderr,
         )
     config.CACHE_DIR = os.path.join(folder, sources)  # type: ignore[attr-defined]
+    return True
 
 
 def writable(folder: Path) -> bool:
     """Whether files can be made in a folder, which is made where it is missing."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=folder).close()
+        with tempfile.TemporaryFile(dir=folder) as file:
+            file.write(bytes(2**16))  # what a full disk refuses
     except OSError:
         return False
     return True
@@ -91,10 +110,30 @@ def _forget_stale_kernels(package: Path, sources: str) -> None:
                 file.write(sources)
 
 
+def _forget_old_folders(cache: Path, sources: str) -> None:
+    """Note that the folder of these sources is used now, and remove those that were not for long.
+
+    A process that still uses one of them compiles again what it misses.
+    """
+    with contextlib.suppress(OSError):  # another process may do the same
+        os.utime(cache / sources)
+        others = [f for f in cache.iterdir() if _HASH.fullmatch(f.name) and f.name != sources]
+        used = sorted(((f.stat().st_mtime, f) for f in others), reverse=True)
+        for last, folder in used[KEPT - 1 :]:
+            if last < time.time() - RECENT:
+                shutil.rmtree(folder, ignore_errors=True)
+
+
 try:
     from numba import config, njit, prange
 
-    keep_kernels(Path(__file__).parent, contact_threshold.__file__, flags.__file__)
+    if not keep_kernels(Path(__file__).parent, contact_threshold.__file__, flags.__file__):
+        compiling: Any = njit
+
+        def njit(*functions: Callable[..., Any], **options: Any) -> Any:  # type: ignore[no-redef]
+            """numba's, but keeping nothing."""
+            return compiling(*functions, **{**options, "cache": False})
+
 except ImportError:
     print(
         "finger_model: numba is not installed; computing in plain Python, thousands of times "

@@ -79,7 +79,8 @@ def simulate_reduced(
     """Contact (see `ReducedModel.simulate`) by the most exact reduced model that serves a finger.
 
     Without a file that is the one of the default finger and, for materials and forces that it does
-    not serve, the one of the population box. Raises the error of the last one.
+    not serve (see `ReducedModel.for_material`), the one of the population box. Raises the error of
+    the last one.
     """
     model = ReducedModel.load(model_file or None, geometry)
     try:

@@ -1,15 +1,49 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Compiled: noise of a force, by what is rough of its samples."""
+"""Compiled: noise of a force, by what is rough of its samples.
+
+A sensor that is read more often than it measures repeats its samples, which show no noise.
+"""
 
 from __future__ import annotations
 
+import numpy as np
+
 from .compiled import njit
 
-LONGEST_STEP, NOISE_MEMORY = 0.005, 1.0
-"""s between samples up to which what is rough of a force is noise, and how long it is remembered.
-"""
+NOISE_MEMORY = 1.0
+"""s for which noise is remembered."""
+LONGEST_PERIOD, LATE = 0.07, 1.5
+"""s between the measurements of a sensor, up to which it is looked for samples that it repeats, and
+periods after which a sample that is still the same was measured anew."""
+
+MEASURED = np.dtype(
+    [
+        ("sample", "f8", (3,)),  # N, the newest force
+        ("since", "i8"),  # ns, stamp from which on it is this
+        ("lasted", "f8", (2,)),  # s for which the two samples before were the same
+        ("stamp", "i8"),  # ns, of the newest sample that was measured anew
+    ]
+)
+"""What tells a sample that is repeated."""
+
+
+@njit(cache=True)
+def measured_anew(measured, stamp, normal, q0, q1):
+    """Whether this sample (N) at a stamp (ns) is more than the one before again."""
+    sample, lasted = measured.sample, measured.lasted
+    same_for = (stamp - measured.since) * 1e-9
+    if normal != sample[0] or q0 != sample[1] or q1 != sample[2]:
+        sample[0], sample[1], sample[2] = normal, q0, q1
+        lasted[1], lasted[0] = lasted[0], same_for
+        measured.since = stamp
+    else:
+        period = min(lasted[0], lasted[1])
+        if period < LONGEST_PERIOD and 0.0 <= same_for < LATE * period:
+            return False
+    measured.stamp = stamp
+    return True
 
 
 @njit(cache=True)

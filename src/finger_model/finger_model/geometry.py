@@ -39,6 +39,9 @@ SMALLEST = {
 LARGEST = 0.1
 """m; of any length."""
 
+NAIL_INSIDE = 0.97
+"""The nail holds the tissue to at most this share of the inner face of the epidermis."""
+
 
 @dataclass(frozen=True)
 class Geometry:
@@ -132,6 +135,12 @@ class Geometry:
             self.pad_semi_axis_radial - self.epidermis_thickness,
             self.pad_semi_axis_axial - self.epidermis_thickness,
         )
+
+    @property
+    def nail_reach(self) -> float:
+        """Radius (m) to which the nail holds the tissue: a wider nail is not grown together with
+        the skin at the finger's side."""
+        return min(self.nail_radius, NAIL_INSIDE * self.bulk_semi_axes[0])
 
     @property
     def tip_radius(self) -> float:

@@ -391,10 +391,11 @@ class ModelNode(ManagedNode):
 
     def _tell_model(self, estimator: ContactEstimator) -> None:
         """Log the model in use and how exact it is."""
-        model, error = estimator.model, estimator.model.measured_error
+        model, parameters = estimator.model, estimator.parameters
+        error = model.error_of(parameters)
         self.get_logger().info(
             f"reduced model {model.hash[:8]} of law '{model.law.name}', lengths of "
-            f"{self._origin(estimator)}, RMS error {100 * model.rms_error:.2f} %"
+            f"{self._origin(estimator)}, RMS error {100 * model.rms_error_of(parameters):.2f} %"
             + (f" in {error['pairs']} full-order histories" if "pairs" in error else "")
             + f"; parameter sets {estimator.parameter_sets.hash[:8]}"
         )

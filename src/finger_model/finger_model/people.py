@@ -29,7 +29,7 @@ from .laws.generalized_maxwell import (
     TIME_RANGE,
 )
 from .parameter_sets import ParameterSets
-from .reduced.population import BOX, NAIL_INSIDE
+from .reduced.population import BOX
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ class People:
                     epidermis_thickness=skin,
                     bone_semi_axis_radial=_within("bone_radial", bone) * radial,
                     bone_semi_axis_axial=height * axial,
-                    nail_radius=min(_within("nail_radius", nail), NAIL_INSIDE) * radial,
+                    nail_radius=_within("nail_radius", nail) * radial,
                 )
             except InputError:
                 continue

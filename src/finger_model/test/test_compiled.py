@@ -7,14 +7,16 @@ from __future__ import annotations
 
 import importlib
 import os
+import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
 from numba import config
 
-from finger_model.compiled import keep_kernels
+from finger_model.compiled import keep_kernels, writable
 
 INNER = "from numba import njit\n\n\n@njit(cache=True)\ndef inner():\n    return {}\n"
 OUTER = """
@@ -127,6 +129,98 @@ def test_where_nothing_can_be_written_kernels_are_kept_for_the_process_and_its_c
     assert (own, how) == ("1.5", "compiled") and child[:2] == [own, folder]
     assert child[2] != "compiled" and not Path(folder).parent.exists()
     assert done.stderr.count("\n") == 1 and "can be written" in done.stderr
+
+
+NO_FOLDER = """
+import sys, tempfile
+
+
+def refused(*arguments, **options):
+    raise PermissionError(13, "Permission denied")
+
+
+tempfile.TemporaryFile = tempfile.mkdtemp = refused
+from finger_model.compiled import njit
+
+
+@njit(cache=True)
+def double(x):
+    return 2 * x
+
+
+print(double(21), double.stats.cache_path)
+"""
+
+
+def test_where_not_even_a_temporary_folder_can_be_written_kernels_run_all_the_same(
+    tmp_path: Path,
+) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", NO_FOLDER],
+        env=os.environ | {"XDG_CACHE_HOME": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.split() == ["42", "None"]
+    assert done.stderr.count("\n") == 1 and "no folder can be written" in done.stderr
+
+
+def test_a_disk_that_is_full_is_no_folder_for_kernels(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Files can be made there, but nothing can be written into them."""
+    assert writable(tmp_path)
+    monkeypatch.setattr(tempfile, "TemporaryFile", lambda dir: open("/dev/full", "wb", 0))
+    assert not writable(tmp_path)
+
+
+def use_after(days: float, package: Path, monkeypatch: pytest.MonkeyPatch, value: float) -> Path:
+    """The folder of kernels of a package that is changed to return a value and used after days."""
+    (package / "laws" / "inner.py").write_text(INNER.format(value))
+    cache = package.parent / "cache"
+    for folder in cache.iterdir() if cache.is_dir() else ():
+        last = folder.stat().st_mtime - 86400.0 * days
+        os.utime(folder, (last, last))
+    monkeypatch.setattr(config, "CACHE_DIR", str(cache))
+    assert keep_kernels(package)
+    return Path(config.CACHE_DIR)
+
+
+def test_of_older_sources_only_the_folders_used_last_are_kept(
+    package: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = package.parent / "cache" / "of_another_program"
+    own.mkdir(parents=True)
+    found = [use_after(2.0, package, monkeypatch, value) for value in range(4)]
+    assert [f.is_dir() for f in found] == [False, True, True, True] and own.is_dir()
+    assert use_after(2.0, package, monkeypatch, 1) == found[1], "which is used again"
+    found.append(use_after(2.0, package, monkeypatch, 4))
+    assert [f.is_dir() for f in found] == [False, True, False, True, True]
+    soon = [use_after(0.0, package, monkeypatch, value) for value in range(5, 8)]
+    assert all(f.is_dir() for f in soon), "programs of today may still add to them"
+
+
+@pytest.mark.parametrize("suffix", [".nbi", ".nbc", ""])
+def test_a_process_whose_kernels_are_removed_goes_on(
+    suffix: str, package: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Half of the files, or all."""
+    folder = use_after(0.0, package, monkeypatch, 1.0)
+    (tmp_path / "kernel.py").write_text(
+        "from numba import njit\n\n\n@njit(cache=True)\ndef kernel(x):\n    return x + x\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "kernel", raising=False)
+    kernel = importlib.import_module("kernel").kernel
+    assert kernel(1) == 2
+    assert list(folder.rglob("*.nbc"))
+    for file in folder.rglob("*" + suffix) if suffix else ():
+        file.unlink()
+    if not suffix:
+        shutil.rmtree(folder)
+    assert kernel(1.5) == 3.0 and kernel(1j) == 2j
+    assert list(folder.rglob("*.nbc"))
 
 
 CHANGES = """

@@ -344,6 +344,14 @@ def test_other_geometries_press_as_well(values):
     assert np.all(np.diff(history.area) > 0) and np.all(np.diff(history.indentation) > 0)
 
 
+def test_a_nail_ends_inside_the_skin_however_wide_it_is():
+    finger = dict(pad_semi_axis_radial=6.5e-3, epidermis_thickness=0.8e-3)
+    reach = 0.97 * 5.7e-3
+    nodes = [finger_mesh(Geometry(**finger, nail_radius=nail)).nodes for nail in (reach, 6.5e-3)]
+    np.testing.assert_array_equal(*nodes)
+    assert nodes[0][nodes[0][:, 1] > 0, 0].max() == pytest.approx(reach)
+
+
 def test_nearly_incompressible_tissue_does_not_lock(model):
     """From ν = 0.48 to 0.4999 the indentation falls by the tissue's stiffening, not by locking."""
     load = np.array([0.5])

@@ -623,3 +623,43 @@ def test_the_noise_of_the_force_is_in_the_deviation_of_the_area(model: ReducedMo
     scatter = float(np.std(rows[1].column("area")[late]))
     added = float(np.sqrt(np.mean(noisy**2) - np.mean(still**2)))
     assert added == pytest.approx(scatter, rel=0.4)
+
+
+def noisy_hold(model: ReducedModel, noise: np.ndarray, digit: float, times: int) -> np.ndarray:
+    """Relative deviation of the area, from 4 s on, at a held force with noise (n,) in N at 500 Hz,
+    of a sensor with digits (N) that gives each sample so many times. The finger itself is known."""
+    time = 0.002 * np.arange(len(noise))
+    force = np.minimum(time, 0.5) + noise
+    if digit:
+        force = digit * np.round(force / digit)
+    force = np.repeat(force[::times], times)[: len(time)]
+    known = EstimatorSettings(prior_area_sd=1e-3, contact_area_sd=1e-3, slope_sd=1e-3)
+    estimator = ContactEstimator(model, ParameterSets(ParameterSets.default().sets), known)
+    stamps = T0 + np.round(time * 1e9).astype(np.int64)
+    rows = estimator.add_wrenches(stamps, np.column_stack([0 * force, 0 * force, -force]))
+    return rows.column("area_stddev")[2000:] / rows.column("area")[2000:]
+
+
+@pytest.mark.parametrize("digit", [0.0, 0.05])
+@pytest.mark.parametrize("times", [2, 5, 10])
+def test_a_sensor_that_repeats_its_samples_does_not_hide_their_noise(
+    model: ReducedModel, times: int, digit: float
+) -> None:
+    """Neither where they come in coarse digits."""
+    noise = 0.05 * np.random.default_rng(0).normal(size=10_000)
+    once, repeated = (
+        np.sqrt(np.mean(noisy_hold(model, noise, digit, each) ** 2)) for each in (1, times)
+    )
+    assert repeated == pytest.approx(once, rel=0.15)
+
+
+@pytest.mark.parametrize("times", [1, 5])
+def test_a_force_that_rests_on_a_coarse_digit_is_not_taken_for_a_repeated_one(
+    model: ReducedModel, times: int
+) -> None:
+    """A sensor that shows no noise any more has none, but for its digits."""
+    noise = 0.05 * np.random.default_rng(0).normal(size=8000)
+    noise[3000:] = 0.0
+    still, resting = (noisy_hold(model, n, 0.05, times) for n in (0.0 * noise, noise))
+    assert resting[900] > 1.3 * still[900]
+    assert resting[-1] == pytest.approx(still[-1], rel=0.02)

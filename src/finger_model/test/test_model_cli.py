@@ -14,6 +14,7 @@ import pytest
 import yaml
 
 from finger_common.cli import run
+from finger_common.errors import ModelError
 from finger_model.cli import _main
 from finger_model.geometry import Geometry
 from finger_model.history import CSV_HEADER
@@ -134,6 +135,28 @@ def test_a_fit_is_simulated_without_retyping(tmp_path, force_file, capsys):
     ):
         assert run(_main, [*simulate, *map(str, arguments)]) == 2
         assert words in capsys.readouterr().err
+
+
+def test_where_the_reduced_model_cannot_the_full_order_goes_on(tmp_path, capsys, monkeypatch):
+    """It says why, without the remedy that it is itself."""
+    force, material, out = (tmp_path / name for name in ("f.csv", "m.yaml", "o.csv"))
+    force.write_text("time_s,force_n\n0,0\n1,0.2\n")
+    material.write_text("E0: 80e3\nE1: 1e15\ntau1: 1.0\nE2: 1e6\n")
+    arguments = ["simulate", "--force", str(force), "-o", str(out), "--material", str(material)]
+    assert run(_main, arguments) == 0
+    error = capsys.readouterr().err
+    assert "using the full-order model: material: 'E1' is 1e+15" in error
+    assert "--solver" not in error
+
+    def refuses(*_):
+        raise ModelError("the reduced model cannot follow the force of 0.2 N; use --solver full")
+
+    monkeypatch.setattr("finger_model.finger.simulate_reduced", refuses)
+    first = out.read_bytes()
+    assert run(_main, arguments) == 0
+    error = capsys.readouterr().err
+    assert "using the full-order model: the reduced model cannot follow the force of 0.2 N" in error
+    assert out.read_bytes() == first
 
 
 def test_contradictory_options_are_refused(tmp_path, force_file, capsys):

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from finger_common.cli import one_line
-from finger_common.errors import InputError
+from finger_common.errors import InputError, ModelError
 from finger_common.files import atomic_write, check_output
 from finger_common.progress import Stages
 
@@ -156,10 +156,11 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         try:
             found = _reduced(arguments, *finger, pull)
-        except InputError as error:
+        except (InputError, ModelError) as error:
             if solver == "reduced":
                 raise
-            print(f"using the full-order model: {one_line(error)}", file=sys.stderr)
+            reason = one_line(error).partition(";")[0]  # without the remedy
+            print(f"using the full-order model: {reason}", file=sys.stderr)
             found = _full(arguments, *finger)
     _write(found.csv_text(), arguments.output)
     return 0

@@ -79,7 +79,8 @@ STREAM = np.dtype(
         ("last_stamp", "i8"),  # ns, newest sample
         ("model_stamp", "i8"),  # ns, newest valid sample
         ("pending_flags", "i8"),  # of the next estimate
-        ("forces", "f8", (2,)),  # N, of the two newest valid samples
+        ("measured", force_noise.MEASURED),
+        ("forces", "f8", (2,)),  # N, the two newest that were measured
         ("noise_variance", "f8"),  # N², of a sample
         ("noise_time", "f8"),  # s, over which it was averaged
     ],
@@ -366,11 +367,14 @@ def _place(net, base, par, finger, work, state):
 
 
 @njit(cache=True)
-def _see_noise(stream, dt, force):
-    """Noise of the force (N), by a valid sample dt (s) after the one before."""
-    rough = force_noise.roughness(force, stream.forces[0], stream.forces[1])
-    stream.forces[1], stream.forces[0] = stream.forces[0], force
-    if 0.0 < dt <= force_noise.LONGEST_STEP:
+def _see_noise(stream, stamp, normal, a, b):
+    """Noise of the normal force (N), by a valid sample of it and of the lateral forces."""
+    dt = (stamp - stream.measured.stamp) * 1e-9
+    if not force_noise.measured_anew(stream.measured, stamp, normal, a, b):
+        return
+    rough = force_noise.roughness(normal, stream.forces[0], stream.forces[1])
+    stream.forces[1], stream.forces[0] = stream.forces[0], normal
+    if 0.0 < dt <= force_noise.LONGEST_PERIOD:
         stream.noise_variance, stream.noise_time = force_noise.averaged(
             stream.noise_variance, stream.noise_time, rough, LEAST_NOISE**2, dt
         )
@@ -387,7 +391,6 @@ def _advance_model(net, base, par, finger, work, config, state, stamp, normal_fo
         near.stamp[:] = stamp - 1
     stream.model_stamp = stamp
     stream.started = True
-    _see_noise(stream, dt, normal_force)
     rk.step(net, par, finger, work, dt, normal_force)
     lost = finger[0].failed != 0 or not math.isfinite(finger[0].indentation)
     if normal_force < config.liftoff_force and lost:
@@ -531,6 +534,7 @@ def process(net, base, par, finger, work, configuration, states, stamps, forces,
         stream.last_stamp = stamp
         if valid:
             _advance_model(net, base, par, finger, work, config, state, stamp, normal_force)
+            _see_noise(state.stream, stamp, normal_force, a, b)
             if _is_beyond(par[0], finger[0], normal_force):
                 flags |= FLAG.FORCE_OUT_OF_RANGE
             if (

@@ -175,17 +175,11 @@ def _columns(
 def _put_nail_edge(geometry: Geometry, top: np.ndarray, bulk: int, nail: int | None) -> None:
     """Shift the radii (m,) of the top's nodes, `bulk` of them in the bulk tissue, so that one of
     them is the nail's edge."""
-    edge, inner = geometry.nail_radius, top[bulk - 1]
-    if geometry.nail_thickness <= 0:
-        return
-    if top[0] < edge < inner:
+    edge = geometry.nail_reach
+    if geometry.nail_thickness > 0 and edge > top[0]:
         r = top[:bulk].copy()
         nearest = nail or 1 + int(np.argmin(np.abs(r[1:-1] - edge)))
         top[:bulk] = np.interp(r, [r[0], r[nearest], r[-1]], [r[0], edge, r[-1]])
-    elif inner < edge < top[-1] and len(top) > bulk + 1:
-        r = top[bulk - 1 :].copy()
-        nearest = 1 + int(np.argmin(np.abs(r[1:-1] - edge)))
-        top[bulk - 1 :] = np.interp(r, [r[0], r[nearest], r[-1]], [r[0], edge, r[-1]])
 
 
 def _assemble(geometry: Geometry, columns: np.ndarray, bulk_layers: int, nail_layers: int) -> Mesh:
@@ -198,8 +192,8 @@ def _assemble(geometry: Geometry, columns: np.ndarray, bulk_layers: int, nail_la
     cells: list[tuple[int, int, int, int]] = []
     part: list[int] = []
     inside = 0
-    if geometry.nail_thickness > 0 and geometry.nail_radius > bone_edge * (1 + 1e-9):
-        edge = int(np.argmin(np.abs(top[:, 0] - geometry.nail_radius)))
+    if geometry.nail_thickness > 0 and geometry.nail_reach > bone_edge * (1 + 1e-9):
+        edge = int(np.argmin(np.abs(top[:, 0] - geometry.nail_reach)))
         # Over the bone the nail's lower face is held: two elements inwards its strain has died
         # away.
         reach = min(2.0 * geometry.nail_thickness, 0.9 * bone_edge)

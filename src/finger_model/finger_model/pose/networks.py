@@ -17,7 +17,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..geometry import Geometry
-from ..reduced.population import NAIL_INSIDE
 from .pose import Pose
 from .touch import Touch
 
@@ -36,7 +35,6 @@ def inputs(geometry: Geometry, skin_ratio: float, pose: Pose, touch: Touch) -> n
     and tilt, and what they make of the first touch.
     """
     a, c = geometry.pad_semi_axis_radial, geometry.pad_semi_axis_axial
-    nail = min(geometry.nail_radius, NAIL_INSIDE * geometry.bulk_semi_axes[0])
     ratio = min(max(skin_ratio, SKIN_RATIOS[0]), SKIN_RATIOS[1]) / MIDDLE_SKIN_RATIO
     bending = geometry.epidermis_thickness * ratio ** (1 / 3)
     x, y = (2.0 * pose.axes[2, :2]) ** 2
@@ -46,7 +44,7 @@ def inputs(geometry: Geometry, skin_ratio: float, pose: Pose, touch: Touch) -> n
             0.7 * math.log(bending / (0.06 * a)),
             4.0 * (geometry.bone_semi_axis_radial / a - 0.4),
             4.0 * (geometry.bone_semi_axis_axial / c - 0.4),
-            5.0 * (nail / a - 0.78),
+            5.0 * (geometry.nail_reach / a - 0.78),
             0.8 * math.log(1.6 * ratio),
             4.3 * math.log(pose.aspect) - 1.0,
             2.0 * x - 1.0,

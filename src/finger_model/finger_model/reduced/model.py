@@ -22,6 +22,7 @@ from finger_common.files import atomic_write, parse_json, parse_npz, read_bytes,
 from ..geometry import Geometry
 from ..history import ContactHistory, ContactPoint, check_force_history, check_trial, mean_pressure
 from ..laws import ConstitutiveLaw, MaxwellLaw, ParameterSpace, StandardLinearSolid, law_of
+from ..paper import SEARCH_BOX
 from . import kernels as rk
 from . import population
 from .maps import GeometryMaps, Maps, PopulationMaps
@@ -30,7 +31,8 @@ FORMAT = 3
 """Version of the file's layout."""
 
 SHIPPED = "reduced_default.npz"
-"""Of the default geometry and friction: more exact there than the population's."""
+"""Of the default geometry and friction: more exact there than the population's, for moduli of the
+paper's search box."""
 
 SHIPPED_POPULATION = "reduced_population.npz"
 
@@ -161,11 +163,6 @@ class ReducedModel:
         return float(self.error_of(parameters, force).get(figure, 0.01))
 
     @property
-    def rms_error(self) -> float:
-        """The same of the law's default parameters."""
-        return self.rms_error_of(self.material.vector())
-
-    @property
     def space(self) -> ParameterSpace:
         """The parameters of the law it was built for; vectors (n,) have their order."""
         return self.law.PARAMETERS
@@ -198,21 +195,25 @@ class ReducedModel:
         """The same finger with the law and the fixed properties of a material.
 
         Raises InputError for a law without reduced model and for properties that it does not serve.
-        The shipped model of the default geometry gives way to the population's where it must.
+        The shipped model of the default geometry gives way to the population's where it must, and
+        for moduli outside the paper's search box, where it is less exact.
         """
         model = self.for_law(type(material))
         assert isinstance(material, MaxwellLaw)
         wanted = {name: getattr(material, name) for name in model.fixed}
-        if wanted == model.fixed and (material.stiffening == 0.0 or self.serves_population):
-            return model
         if self.serves_population:
+            if wanted == model.fixed:
+                return model
             return ReducedModel(self.arrays, self.meta, model.law, self.geometry, wanted)
-        return load_population(self.geometry).for_material(material) if self.gives_way else model
+        served = wanted == model.fixed and material.stiffening == 0.0
+        if self.gives_way and not (served and population.within(material, SEARCH_BOX)):
+            return load_population(self.geometry).for_material(material)
+        return model
 
     @property
     def gives_way(self) -> bool:
         """Whether this is the shipped model of the default finger: the population's model takes its
-        place for materials and forces that it does not serve."""
+        place for materials and forces that it does not serve (see `for_material`)."""
         return self.hash == _shipped().hash
 
     @functools.cached_property

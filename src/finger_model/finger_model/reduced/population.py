@@ -10,6 +10,7 @@ finger is ten numbers, the context, beside the load F/(E0 L²) and the state of 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,9 +42,6 @@ MIDDLE_STIFFENING = 3.0
 
 LEAST_NAIL, MOST_NAIL = 1e-2, 1e4
 """Bending stiffness E_n (t/L)³/E0 of the nail: beyond these, more changes nothing."""
-
-NAIL_INSIDE = 0.97
-"""The nail reaches at most this share of the inner face of the epidermis."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +96,7 @@ OUTSIDE = (
 
 
 def lengths_of(geometry: Geometry) -> dict[str, float]:
-    """A finger's lengths and ratios, as BOX names them; a wider nail is one of the widest."""
+    """A finger's lengths and ratios, as BOX names them."""
     a, c = geometry.pad_semi_axis_radial, geometry.pad_semi_axis_axial
     return {
         "pad_semi_axis_radial": a,
@@ -106,7 +104,7 @@ def lengths_of(geometry: Geometry) -> dict[str, float]:
         "epidermis_thickness": geometry.epidermis_thickness,
         "bone_radial": geometry.bone_semi_axis_radial / a,
         "bone_axial": geometry.bone_semi_axis_axial / c,
-        "nail_radius": min(geometry.nail_radius / a, BOX["nail_radius"].high),
+        "nail_radius": geometry.nail_reach / a,
     }
 
 
@@ -151,18 +149,23 @@ def check_fixed(fixed: dict[str, float]) -> None:
 def region_of(geometry: Geometry, material: MaxwellLaw, force: float) -> str:
     """ "middle" or "whole": the part of the box whose stated error holds for a finger up to a force
     (N)."""
+    low, high = MIDDLE_LENGTHS
+    inside = within(material, MIDDLE) and low <= geometry.pad_semi_axis_radial <= high
+    return "middle" if inside and force <= MIDDLE_FORCE else "whole"
+
+
+def within(material: MaxwellLaw, box: Mapping[str, tuple[float, float]]) -> bool:
+    """Whether the moduli of a material lie in a box of E0, E1 and E2 (Pa); E1 is that of a standard
+    linear solid of the same long-term modulus."""
     share = material.long_term_fraction
     E0 = material.instantaneous_modulus
     moduli = {"E0": E0, "E2": material.epidermis_modulus}
     if share < 1.0:
         moduli["E1"] = E0 * share / (1.0 - share)
-    inside = all(
-        MIDDLE[name][0] * (1 - 1e-9) <= value <= MIDDLE[name][1] * (1 + 1e-9)
+    return all(
+        box[name][0] * (1 - 1e-9) <= value <= box[name][1] * (1 + 1e-9)
         for name, value in moduli.items()
     )
-    low, high = MIDDLE_LENGTHS
-    inside &= low <= geometry.pad_semi_axis_radial <= high
-    return "middle" if inside and force <= MIDDLE_FORCE else "whole"
 
 
 def context_of(geometry: Geometry, material: ConstitutiveLaw) -> np.ndarray:
@@ -171,7 +174,6 @@ def context_of(geometry: Geometry, material: ConstitutiveLaw) -> np.ndarray:
     length, axial = geometry.pad_semi_axis_radial, geometry.pad_semi_axis_axial
     modulus = material.instantaneous_modulus
     bending = material.nail_modulus * (geometry.nail_thickness / length) ** 3 / modulus
-    inner = NAIL_INSIDE * geometry.bulk_semi_axes[0]
     stiffening = material.stiffening / (material.stiffening + MIDDLE_STIFFENING)
     return np.array(
         [
@@ -179,7 +181,7 @@ def context_of(geometry: Geometry, material: ConstitutiveLaw) -> np.ndarray:
             math.log(geometry.epidermis_thickness / length),
             geometry.bone_semi_axis_radial / length,
             geometry.bone_semi_axis_axial / axial,
-            min(geometry.nail_radius, inner) / length,
+            geometry.nail_reach / length,
             math.log(min(max(bending, LEAST_NAIL), MOST_NAIL)),
             material.friction / (material.friction + MIDDLE_FRICTION),
             math.log(material.epidermis_modulus / modulus),

@@ -16,6 +16,7 @@ import numpy as np
 
 from finger_common.flags import SlipFlag
 
+from .. import force_noise
 from ..compiled import njit
 from . import elements, forces, forecasts, friction, plateau
 
@@ -30,9 +31,6 @@ DIP, DIP_NOISE = 0.1, 6.0
 a load that is held would count."""
 FRAMES, NEXT_RATIO = 20, 0.05
 """Frames of a pull that count until r has grown by NEXT_RATIO: more of them err as these do."""
-LONGEST_PERIOD, LATE = 0.07, 1.5
-"""s between the measurements of a sensor, up to which it is looked for samples that it repeats, and
-periods after which a sample that is still the same was measured anew."""
 SMALLEST_FORCE = 0.05
 """N; below it ratios are not judged."""
 UNSURE = 0.1
@@ -69,21 +67,12 @@ MEMORY = np.dtype(
     ]
 )
 """Ring of past samples."""
-MEASURED = np.dtype(
-    [
-        ("sample", "f8", (3,)),  # N, the newest P and Q
-        ("since", "i8"),  # ns, stamp from which on they are these
-        ("lasted", "f8", (2,)),  # s for which the two samples before were the same
-        ("stamp", "i8"),  # ns, of the newest sample that was measured anew
-    ]
-)
-"""A sensor that is read more often than it measures repeats its samples."""
 STATE = np.dtype(
     [
         ("touching", "?"),
         ("doubted", "?"),  # the newest force of this contact is hardly a finger's
         ("stamp", "i8"),  # ns
-        ("measured", MEASURED),
+        ("measured", force_noise.MEASURED),
         ("forces", forces.FORCES),
         ("forecasts", forecasts.FORECASTS),
         ("plateau", plateau.PLATEAU),
@@ -131,23 +120,6 @@ def _end_contact(config, state, stamp):
     friction.end_contact(state.friction, config.prior, config.drift)
     elements.release(state.elements)
     state.touching = False
-
-
-@njit(cache=True)
-def _measured_anew(measured, stamp, normal, q0, q1):
-    """Whether this sample is more than the one before again."""
-    sample, lasted = measured.sample, measured.lasted
-    same_for = (stamp - measured.since) * 1e-9
-    if normal != sample[0] or q0 != sample[1] or q1 != sample[2]:
-        sample[0], sample[1], sample[2] = normal, q0, q1
-        lasted[1], lasted[0] = lasted[0], same_for
-        measured.since = stamp
-    else:
-        period = min(lasted[0], lasted[1])
-        if period < LONGEST_PERIOD and 0.0 <= same_for < LATE * period:
-            return False
-    measured.stamp = stamp
-    return True
 
 
 @njit(cache=True)
@@ -220,7 +192,7 @@ def follow(config, state, stamp, normal, q0, q1, touching, doubted, indentation,
     if not known.told and moisture != state.friction.moisture and math.isfinite(moisture):
         friction.set_prior(config.prior, state.friction, moisture)
     dt, step = (stamp - state.stamp) * 1e-9, (stamp - state.measured.stamp) * 1e-9
-    anew = _measured_anew(state.measured, stamp, normal, q0, q1)
+    anew = force_noise.measured_anew(state.measured, stamp, normal, q0, q1)
     if touching:
         if not state.touching:
             forces.set_zero(state.forces)

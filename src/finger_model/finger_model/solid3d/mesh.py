@@ -263,9 +263,8 @@ def _columns(
     row = _nail_row(geometry, bulk)
     if row:
         edge = float(geometry.bone_profile(np.array([1.0]))[0][0])
-        target = min((geometry.nail_radius - edge) / (inner_a - edge), 1.0)
-        if row < len(bulk) - 1:
-            shifted = np.interp(bulk, [0.0, bulk[row], 1.0], [0.0, target, 1.0])
+        target = (geometry.nail_reach - edge) / (inner_a - edge)
+        shifted = np.interp(bulk, [0.0, bulk[row], 1.0], [0.0, target, 1.0])
     weight = np.maximum(0.0, 1.0 - (0.5 * math.pi - angle) / 0.6)
     rows = bulk + weight[:, None] * (shifted - bulk)
     points = bone[:, None] + rows[:, :, None] * (inner - bone)[:, None]
@@ -280,10 +279,10 @@ def _columns(
 def _nail_row(geometry: Geometry, bulk: np.ndarray) -> int:
     """Row of nodes at the nail's edge, 0 without a nail."""
     bone = float(geometry.bone_profile(np.array([1.0]))[0][0])
-    if geometry.nail_thickness <= 0 or geometry.nail_radius <= bone * (1 + 1e-9):
+    if geometry.nail_thickness <= 0 or geometry.nail_reach <= bone * (1 + 1e-9):
         return 0
-    edge = (geometry.nail_radius - bone) / (geometry.bulk_semi_axes[0] - bone)
-    return int(np.argmin(np.abs(bulk[1:] - edge)) + 1)
+    edge = (geometry.nail_reach - bone) / (geometry.bulk_semi_axes[0] - bone)
+    return int(np.argmin(np.abs(bulk[1:-1] - edge)) + 1)
 
 
 def _right_handed(nodes: np.ndarray, cells: np.ndarray) -> np.ndarray:
