@@ -16,7 +16,7 @@ from sensor_msgs.srv import SetCameraInfo
 
 from finger_common.cli import one_line
 from finger_common.diagnostics import ERROR
-from finger_common.errors import FingerError
+from finger_common.errors import FingerError, InputError
 from finger_common.files import await_file
 from finger_common.node import main_of
 from finger_common.settings import setting
@@ -71,6 +71,7 @@ class CameraNode(DeviceNode):
     def create_interfaces(self) -> None:
         self._info_path = resolve_url(self.values["camera_info_url"], self.values["camera_name"])
         self._calibration = self._load_calibration()
+        self._shape: tuple[int, ...] | None = None
         self._freeze = FreezeDetector(self.values["frozen_after"])
         qos = self.stream_qos(min(_IMAGE_DEPTH, self.values["qos_depth"]), publisher=True)
         self._image = self.create_stream_publisher(Image, "image_raw", qos)
@@ -98,6 +99,7 @@ class CameraNode(DeviceNode):
         stamp = frame.stamp_ns + nanoseconds(self.values["image_time_offset"])
         if not self.accept_stamp(stamp):
             return
+        self._shape = frame.image.shape
         if self._freeze.frozen(frame.image):
             self.device.note("frozen", "the camera repeats the same image; restart it", ERROR)
             return
@@ -119,9 +121,16 @@ class CameraNode(DeviceNode):
 
     def _on_set_camera_info(self, request: Any, response: Any) -> Any:
         calibration = calibration_of(request.camera_info, self.values["camera_name"])
+        size, shape = (calibration.height, calibration.width), self._shape
         try:
+            calibration.check("camera_info")
+            if shape not in (None, size):
+                raise InputError(
+                    f"camera_info: it is for {size[1]}×{size[0]}, images are "
+                    f"{shape[1]}×{shape[0]}; calibrate the camera at that size"
+                )
             calibration.save(self._info_path)
-        except FingerError as error:
+        except (FingerError, OSError) as error:
             response.success, response.status_message = False, one_line(error)
             return response
         self._calibration = calibration

@@ -25,6 +25,7 @@ from typing import Any
 
 import can
 from can.interfaces.socketcan import SocketcanBus
+from can.interfaces.udp_multicast import UdpMulticastBus
 from can.interfaces.udp_multicast.utils import pack_message, unpack_message
 
 from finger_common.errors import DeviceError, InputError
@@ -267,6 +268,14 @@ def frame(identifier: int, data: Iterable[int], extended: bool = False) -> can.M
 def stamp_of(message: can.Message) -> int | None:
     """Wall time (ns) that the interface gave a frame, None where it gave none."""
     return round(message.timestamp * 1e9) if message.timestamp else None
+
+
+def may_be_own(bus: can.BusABC, message: can.Message) -> bool:
+    """Whether a received frame may be an own one that came back.
+
+    python-can's `udp_multicast` echoes without a mark. socketcan marks all frames of this computer.
+    """
+    return isinstance(bus, UdpMulticastBus) or not message.is_rx
 
 
 def can_be_awaited(bus: can.BusABC) -> bool:

@@ -460,6 +460,62 @@ def test_calibration_comes_back_as_saved_and_a_wrong_one_is_refused(tmp_path: Pa
         CameraCalibration.load(path)
 
 
+def lens(**changes: Any) -> CameraCalibration:
+    """A calibration that can be used, but for the changes."""
+    values: dict[str, Any] = {
+        "width": 1280, "height": 1024, "name": "ftir", "d": [0.1, -0.2, 0.0, 0.0, 0.0],
+        "k": [1000.0, 0.0, 640.0, 0.0, 1000.0, 512.0, 0.0, 0.0, 1.0],
+    }  # fmt: skip
+    return CameraCalibration(**values | changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"width": 0}, "image size 0×1024 is not above zero"),
+        ({"height": -1}, "image size 1280×-1 is not above zero"),
+        ({"k": [-1.0, 0, 0, 0, 1.0, 0, 0, 0, 1]}, r"focal lengths -1 and 1 \(K\)"),
+        ({"k": [1.0, 0, 0, 0, 0.0, 0, 0, 0, 1]}, r"focal lengths 1 and 0 \(K\)"),
+        ({"k": [1.0, 0, np.inf, 0, 1.0, 0, 0, 0, 1]}, "not a finite number"),
+        ({"k": [np.nan, 0, 0, 0, 1.0, 0, 0, 0, 1]}, "not a finite number"),
+        ({"d": [np.nan] * 5}, "not a finite number"),
+        ({"p": [np.inf] * 12}, "not a finite number"),
+        ({"distortion_model": "fisheye"}, "'fisheye' is not known, plumb_bob, "),
+        ({"d": [0.1, 0.2, 0.0, 0.0]}, "plumb_bob has 5 coefficients, not 4"),
+        ({"distortion_model": "equidistant"}, "equidistant has 4 coefficients, not 5"),
+    ],
+)
+def test_a_calibration_that_no_camera_can_have_is_refused_also_in_a_file(
+    tmp_path: Path, changes: dict[str, Any], message: str
+) -> None:
+    calibration, path = lens(**changes), tmp_path / "ftir.yaml"
+    with pytest.raises(InputError, match=f"^request: .*{message}.*; calibrate the camera again$"):
+        calibration.check("request")
+    calibration.save(path)
+    with pytest.raises(InputError, match=f"{message}.*; calibrate the camera again$") as caught:
+        CameraCalibration.load(path)
+    assert str(caught.value).startswith(f"{path}: ")
+
+
+def test_every_distortion_model_of_ros_and_none_are_taken(tmp_path: Path) -> None:
+    for model, number in (("plumb_bob", 5), ("rational_polynomial", 8), ("equidistant", 4)):
+        for coefficients in ([0.01] * number, []):
+            calibration = lens(distortion_model=model, d=coefficients)
+            calibration.save(tmp_path / "a.yaml")
+            assert CameraCalibration.load(tmp_path / "a.yaml") == calibration
+
+
+@pytest.mark.parametrize("key", ["plate_homography", "area_per_pixel"])
+def test_a_lens_is_not_written_over_a_plate_calibration(tmp_path: Path, key: str) -> None:
+    path = tmp_path / "plate.yaml"
+    lens().save(path)
+    path.write_text(path.read_text() + f"{key}: 1.0e-9\n")
+    before = path.read_bytes()
+    with pytest.raises(InputError, match=r"is a plate calibration.*; let camera_info_url "):
+        lens(d=[]).save(path)
+    assert path.read_bytes() == before
+
+
 def test_urls_of_calibrations(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_HOME", str(tmp_path))
     assert resolve_url("", "a") == tmp_path / "camera_info" / "a.yaml"

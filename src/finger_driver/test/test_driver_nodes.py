@@ -402,39 +402,96 @@ def test_the_command_has_an_example_and_refuses_in_one_line(tmp_path: Path, caps
         assert len(error.strip().splitlines()) == 1, error
 
 
+@contextmanager
+def camera_node(domain: int, folder: Path) -> Iterator[tuple[Any, Path]]:
+    """A node in this process that is not yet configured, and its calibration file."""
+    from rclpy.parameter import Parameter
+
+    from finger_driver.camera_node import CameraNode
+
+    path = folder / "camera.yaml"
+    (folder / "spool").mkdir()
+    values = {
+        "device": "folder",
+        "path": str(folder / "spool"),
+        "camera_info_url": path.as_uri(),
+        "frame_prefix": "thumb/",
+    }
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=domain)
+    overrides = [Parameter(name, value=value) for name, value in values.items()]
+    node = CameraNode(context=context, parameter_overrides=overrides)
+    try:
+        yield node, path
+    finally:
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
 def test_the_camera_waits_for_a_calibration_that_is_being_written(
     ros_domain: int, tmp_path: Path
 ) -> None:
     import threading
 
     from rclpy.lifecycle import TransitionCallbackReturn
-    from rclpy.parameter import Parameter
 
     from finger_driver.camera.info import CameraCalibration
-    from finger_driver.camera_node import CameraNode
 
-    path = tmp_path / "camera.yaml"
-    (tmp_path / "spool").mkdir()
-    values = {
-        "device": "folder",
-        "path": str(tmp_path / "spool"),
-        "camera_info_url": path.as_uri(),
-        "frame_prefix": "thumb/",
-    }
-    context = rclpy.Context()
-    rclpy.init(context=context, domain_id=ros_domain)
-    overrides = [Parameter(name, value=value) for name, value in values.items()]
-    node = CameraNode(context=context, parameter_overrides=overrides)
-    written = threading.Timer(0.5, CameraCalibration(640, 480).save, (path,))
-    try:
+    with camera_node(ros_domain, tmp_path) as (node, path):
+        written = threading.Timer(0.5, CameraCalibration(640, 480).save, (path,))
         written.start()
         assert node.trigger_configure() is TransitionCallbackReturn.SUCCESS
+        written.join()
         assert node.frame == "thumb/camera_optical"
         node.trigger_cleanup()
-    finally:
-        written.join()
-        node.destroy_node()
-        rclpy.shutdown(context=context)
+
+
+def test_set_camera_info_refuses_what_would_spoil_the_calibration_and_keeps_the_file(
+    ros_domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import errno
+
+    from sensor_msgs.srv import SetCameraInfo
+
+    from finger_common import files
+    from finger_driver.camera import Frame
+    from finger_driver.camera.info import CameraCalibration
+
+    with camera_node(ros_domain, tmp_path) as (node, path):
+        CameraCalibration(32, 24).save(path)
+        node.trigger_configure()
+
+        def ask(width: int, height: int, focal_length: float) -> tuple[bool, str]:
+            request = SetCameraInfo.Request()
+            info = request.camera_info
+            info.width, info.height, info.distortion_model = width, height, "plumb_bob"
+            info.k[0] = info.k[4] = focal_length
+            response = node._on_set_camera_info(request, SetCameraInfo.Response())
+            return response.success, response.status_message
+
+        def refuse(*request: Any, why: str) -> None:
+            before = path.read_bytes()
+            success, message = ask(*request)
+            assert not success and why in message and "\n" not in message, message
+            assert path.read_bytes() == before and list(tmp_path.glob(".camera*")) == []
+
+        refuse(0, 0, 0.0, why="camera_info: image size 0×0 is not above zero")
+        refuse(32, 24, 0.0, why="camera_info: focal lengths 0 and 0 (K) are not above zero")
+        assert ask(64, 48, 100.0)[0], "no image has come whose size could differ"
+        node.on_sample(Frame(time.time_ns(), np.zeros((24, 32), np.uint8), 1))
+        refuse(64, 48, 100.0, why="it is for 64×48, images are 32×24")
+        assert ask(32, 24, 100.0) == (True, f"written to {path}")
+        assert CameraCalibration.load(path).k[0] == 100.0
+
+        def fail(*names: Any) -> None:
+            raise OSError(errno.EIO, "Input/output error")
+
+        with monkeypatch.context() as broken:
+            broken.setattr(files.os, "replace", fail)
+            refuse(32, 24, 200.0, why="Input/output error")
+        path.write_text(path.read_text() + "area_per_pixel: 1.0e-9\n")
+        refuse(32, 24, 200.0, why="is a plate calibration")
+        node.trigger_cleanup()
 
 
 def test_a_simulated_press_is_a_press_to_the_nodes() -> None:

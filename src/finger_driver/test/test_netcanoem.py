@@ -5,16 +5,19 @@
 
 from __future__ import annotations
 
+import struct
 import threading
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 
 import can
 import numpy as np
 import pytest
+from can.interfaces.udp_multicast import UdpMulticastBus
 
 from finger_common.errors import DeviceError
-from finger_driver.can_bus import discard_waiting, open_bus, parse_options
+from finger_driver.can_bus import discard_waiting, frame, open_bus, parse_options
 from finger_driver.force import GOOD, SATURATED, open_source
 from finger_driver.protocols import netcanoem, units
 from finger_driver.simulators.netcanoem import NetcanoemSimulator, default_calibration
@@ -99,11 +102,11 @@ def test_options_are_read_and_refused() -> None:
 # Driver and board on a bus within the process ----------------------------------------------------
 
 
-class EchoBus(can.BusABC):
+class EchoBus(UdpMulticastBus):
     """A bus that gives each sender its own frames back, `copies` times, as udp_multicast does."""
 
     def __init__(self, inner: can.BusABC, copies: int) -> None:
-        super().__init__("echo")
+        can.BusABC.__init__(self, "echo")
         self._inner, self._copies = inner, copies
         self._own: list[can.Message] = []
 
@@ -117,7 +120,7 @@ class EchoBus(can.BusABC):
         return self._inner.recv(timeout), False
 
     def shutdown(self) -> None:
-        super().shutdown()
+        can.BusABC.shutdown(self)
         self._inner.shutdown()
 
 
@@ -380,6 +383,94 @@ def test_on_an_echoing_bus_the_own_request_is_no_confirmation_of_the_slot(
         source.close()
         simulator.stop()
         bus.shutdown()
+
+
+class Asked:
+    """A board on a bus that is asked by hand, and the frames that it sends back."""
+
+    def __init__(self, channel: str, echoing: bool = False) -> None:
+        bus = open_bus("virtual", channel)
+        self.simulator = NetcanoemSimulator(EchoBus(bus, 2) if echoing else bus, noise=0.0)
+        self._bus = open_bus("virtual", channel)
+
+    def ask(self, *requests: tuple[int, bytes]) -> list[tuple[int, bytes]]:
+        """Identifiers and data of the replies to requests that come at once."""
+        for identifier, data in requests:
+            self._bus.send(frame(identifier, data))
+        while (request := self.simulator.request(0.0)) is not None:
+            self.simulator._handle(request)
+        replies = iter(lambda: self._bus.recv(0.0), None)
+        return [(reply.arbitration_id, bytes(reply.data)) for reply in replies]
+
+    def awake(self) -> None:
+        """The time in which a reset board is silent is over."""
+        self.simulator._asleep_until = 0.0
+
+    def close(self) -> None:
+        self.simulator.bus.shutdown()
+        self._bus.shutdown()
+
+
+@pytest.fixture
+def asked(channel: str) -> Iterator[Asked]:
+    asked = Asked(channel)
+    yield asked
+    asked.close()
+
+
+FIRMWARE = struct.pack(">BBH", 3, 8, 12)
+
+
+@pytest.mark.parametrize("way", ["opcode", "fault"])
+def test_base_and_bit_rate_change_at_the_next_power_up_and_not_at_a_reset(
+    asked: Asked, way: str
+) -> None:
+    simulator = asked.simulator
+    assert asked.ask((0x20D, b"\x30"), (0x20E, b"\3")) == [(0x20D, b""), (0x20E, b"")]
+    pending = "base 0x20; after power-up base 0x30, 500000 bit/s"
+    assert simulator.describe().endswith(pending)
+    asked.ask((0x206, b"\5"))
+    if way == "opcode":
+        assert asked.ask((0x20C, b"")) == []
+    else:
+        simulator.faults.set("reset", 1)
+    assert asked.ask((0x20F, b"")) == [], "it is silent for a moment"
+    asked.awake()
+    assert asked.ask((0x30F, b""), (0x20F, b"")) == [(0x20F, FIRMWARE)]
+    assert simulator.active_slot == 0 and simulator.describe().endswith(pending)
+    simulator.power_cycle()
+    asked.awake()
+    assert asked.ask((0x20F, b""), (0x30F, b"")) == [(0x30F, FIRMWARE)]
+    assert simulator.describe().endswith("base 0x30, 500000 bit/s")
+
+
+def test_each_set_calibration_is_answered_however_soon_it_comes(asked: Asked) -> None:
+    requests = [(0x206, bytes([slot])) for slot in (5, 0, 0, 3, 0)]
+    assert asked.ask(*requests) == requests
+    assert asked.simulator.active_slot == 0
+
+
+def test_on_a_bus_that_echoes_the_echoes_of_its_own_replies_alone_are_left_out(
+    channel: str,
+) -> None:
+    asked = Asked(channel, echoing=True)
+    try:
+        requests = [(0x206, bytes([slot])) for slot in (5, 0, 3)]
+        assert asked.ask(*requests) == requests
+        assert asked.simulator.active_slot == 3
+        asked.simulator._echo_until.clear()  # 20 ms later
+        assert asked.ask((0x206, b"\3")) == [(0x206, b"\3")]
+    finally:
+        asked.close()
+
+
+def test_what_is_no_request_is_not_answered(asked: Asked) -> None:
+    for kind in ("is_extended_id", "is_remote_frame", "is_error_frame", "is_fd"):
+        asked._bus.send(
+            can.Message(arbitration_id=0x200, **{"is_extended_id": False} | {kind: True})
+        )
+        assert asked.ask() == []
+    assert asked.ask((0x200, b"\0"), (0x206, b""), (0x20A, b""), (0x210, b"")) == []
 
 
 @pytest.mark.parametrize(

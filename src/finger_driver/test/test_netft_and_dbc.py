@@ -11,10 +11,11 @@ import socket
 import struct
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import can
 import numpy as np
 import pytest
 from device_process import device, netft_settings
@@ -22,7 +23,7 @@ from device_process import device, netft_settings
 import finger_driver.device
 from finger_common.errors import DeviceError, InputError
 from finger_common.host_clock import HostClock
-from finger_driver.can_bus import frame
+from finger_driver.can_bus import frame, open_bus
 from finger_driver.force import (
     CRITICAL,
     GOOD,
@@ -36,7 +37,8 @@ from finger_driver.force.dbc import SHIPPED, DbcSettings, DbcSource
 from finger_driver.force.netft import NetFtSettings, NetFtSource
 from finger_driver.protocols import netft_xml, rdt
 from finger_driver.protocols.dbc import SampleAssembler, SensorMapping
-from finger_driver.simulators.netft import DEFAULT_CONFIGURATION, NetFtSimulator
+from finger_driver.simulators.netft import DEFAULT_CONFIGURATION, NetFtOptions, NetFtSimulator
+from finger_driver.simulators.rft import RftOptions, RftSimulator
 
 TRUTH = np.array([0.5, -0.25, -3.0, 0.01, -0.02, 0.03])
 WRENCH = "--wrench=" + ",".join(map(str, TRUTH))
@@ -193,6 +195,72 @@ def test_a_simulator_outlasts_an_error_and_says_it(
     finally:
         source.close()
     assert capsys.readouterr().out == "rdt: ValueError: no load\n"
+
+
+@contextlib.contextmanager
+def client_of(box: NetFtSimulator) -> Iterator[socket.socket]:
+    """A socket that sends requests to a box and receives what it sends."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as connection:
+        connection.connect(("127.0.0.1", box.port))
+        connection.settimeout(20.0)
+        yield connection
+
+
+def request(command: int, count: int) -> bytes:
+    """Bytes from the manual's table."""
+    return struct.pack(">HHI", 0x1234, command, count)
+
+
+def until(condition: Callable[[], bool]) -> None:
+    end = time.monotonic() + 20.0
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.001)
+
+
+@pytest.mark.parametrize(
+    ("command", "lost", "numbers"),
+    [
+        (0x0002, 0, [[1], [2], [3], [4], [5]]),
+        (0x0002, 2, [[3], [4], [5]]),
+        (0x0003, 0, [[*range(1, 11)], [*range(11, 21)], [*range(21, 26)]]),
+    ],
+    ids=["real time", "datagrams lost", "buffered"],
+)
+def test_a_counted_stream_has_that_many_records(
+    box: NetFtSimulator, command: int, lost: int, numbers: list[list[int]]
+) -> None:
+    box.faults.set("gap", lost)
+    with client_of(box) as client:
+
+        def received() -> list[int]:
+            data = client.recv(2048)
+            return [struct.unpack_from(">I", data, at)[0] for at in range(0, len(data), 36)]
+
+        client.send(request(command, numbers[-1][-1]))
+        came = [received()]
+        until(lambda: box._client is None)
+        # What comes before the only record of another stream is of the first one.
+        client.send(request(0x0002, 1))
+        came += iter(received, [1])
+    assert came == numbers
+
+
+def test_a_software_bias_outlasts_a_start_and_ends_with_a_reboot() -> None:
+    options = NetFtOptions(port=0, http_port=0, noise=0.0, wrench="0,0,-3,0,0,0")
+    with NetFtSimulator(options) as box, client_of(box) as client:
+
+        def force() -> int:
+            client.send(request(0x0002, 1))
+            return struct.unpack_from(">i", client.recv(2048), 20)[0]
+
+        assert force() == -3_000_000
+        client.send(request(0x0042, 0))
+        assert force() == 0
+        box.faults.set("reboot", 1)
+        until(lambda: box._down_until > 0.0)
+        box._down_until = 0.0  # its half second is over
+        assert force() == -3_000_000
 
 
 def test_a_proxy_of_the_environment_does_not_hide_the_box(
@@ -570,6 +638,49 @@ def test_dbc_sensor_streams_from_another_process_through_faults(free_port: objec
     worst = np.max(np.abs([s.force - TRUTH[:3] for s in samples]))
     assert worst < 0.08, "a sample was put together wrongly"
     assert counted["lost"] >= 5 and counted["malformed"] >= 5 and counted["foreign"] >= 10
+
+
+@pytest.fixture
+def sensor(request: pytest.FixtureRequest) -> Iterator[Callable[..., list[bytes]]]:
+    """Commands to a simulated RFT with 250 N on it: the frames that the last one is answered by."""
+    channel = request.node.name
+    options = RftOptions(interface="virtual", channel=channel, noise=0.0, wrench="250,0,0,0,0,0")
+    bus = open_bus("virtual", channel)
+
+    def ask(*commands: can.Message) -> list[bytes]:
+        for command in commands:
+            bus.send(command)
+        replies = [bus.recv(20.0) for _ in range(2)]
+        assert [reply.arbitration_id for reply in replies if reply is not None] == [1, 2]
+        return [bytes(reply.data) for reply in replies if reply is not None]
+
+    with RftSimulator(options):
+        yield ask
+    bus.shutdown()
+
+
+def command(*data: int) -> can.Message:
+    return frame(0x64, bytes(data).ljust(8, b"\0"))
+
+
+def test_the_sensor_tells_of_overload_whatever_its_bias(
+    sensor: Callable[..., list[bytes]],
+) -> None:
+    unbiased, _ = rft_frames(np.array([250.0, 0, 0, 0, 0, 0]), response=0x0A)
+    first, second = sensor(command(0x0A))
+    assert first == unbiased and second[5] == 0x20
+    first, second = sensor(command(0x11, 1), command(0x0A))
+    assert first == bytes([0x0A, *bytes(7)]) and second[5] == 0x20
+
+
+@pytest.mark.parametrize("kind", ["is_extended_id", "is_remote_frame", "is_error_frame", "is_fd"])
+def test_the_sensor_takes_plain_frames_only(
+    sensor: Callable[..., list[bytes]], kind: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model = command(0x01)
+    setattr(model, kind, True)
+    assert sensor(model, command(0x0A))[0][0] == 0x0A
+    assert capsys.readouterr().out == ""
 
 
 def test_overload_is_not_good(free_port: object) -> None:

@@ -8,6 +8,7 @@ No message package is imported here.
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from dataclasses import dataclass, field
@@ -18,7 +19,13 @@ from urllib.parse import unquote
 import yaml
 
 from finger_common.errors import InputError
-from finger_common.files import atomic_write, load_yaml
+from finger_common.files import atomic_write, exists, load_yaml
+
+COEFFICIENTS = {"plumb_bob": 5, "rational_polynomial": 8, "equidistant": 4}
+"""Coefficients of each distortion model of sensor_msgs; none are no distortion."""
+
+_OF_THE_PLATE = ("plate_homography", "area_per_pixel")
+"""Keys by which a file is a plate calibration, made for the lens that is in it."""
 
 
 @dataclass
@@ -42,13 +49,34 @@ class CameraCalibration:
         """Whether there is a focal length: zero means uncalibrated (sensor_msgs/CameraInfo)."""
         return self.k[0] != 0.0
 
+    def check(self, where: str) -> None:
+        """Raise InputError, naming `where`, for a calibration that no camera can have."""
+        numbers = self.k + self.d + self.r + self.p
+        known = COEFFICIENTS.get(self.distortion_model)
+        if min(self.width, self.height) <= 0:
+            wrong = f"image size {self.width}×{self.height} is not above zero"
+        elif not all(map(math.isfinite, numbers)):
+            wrong = "a matrix or coefficient is not a finite number"
+        elif min(self.k[0], self.k[4]) <= 0:
+            wrong = f"focal lengths {self.k[0]:g} and {self.k[4]:g} (K) are not above zero"
+        elif known is None:
+            wrong = (
+                f"distortion model '{self.distortion_model}' is not known, "
+                f"{', '.join(COEFFICIENTS)} are"
+            )
+        elif len(self.d) not in (0, known):
+            wrong = f"{self.distortion_model} has {known} coefficients, not {len(self.d)}"
+        else:
+            return
+        raise InputError(f"{where}: {wrong}; calibrate the camera again")
+
     @classmethod
     def load(cls, path: str | Path) -> CameraCalibration:
         """Read a YAML file; raises InputError naming file and key."""
         data = load_yaml(path, "camera calibration")
         where = str(path)
         try:
-            return cls(
+            calibration = cls(
                 width=int(data["image_width"]),
                 height=int(data["image_height"]),
                 name=str(data.get("camera_name", "camera")),
@@ -60,13 +88,27 @@ class CameraCalibration:
             )
         except KeyError as error:
             raise InputError(f"{path}: key {error} is missing; add it") from None
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise InputError(
                 f"{path}: image_width and image_height must be whole numbers; correct them"
             ) from None
+        if calibration.calibrated:
+            calibration.check(where)
+        return calibration
 
     def save(self, path: str | Path) -> None:
-        """Write the YAML file; raises InputError when it cannot be written."""
+        """Write the YAML file; raises InputError when it cannot be written.
+
+        So it does for the file of a plate calibration, which holds for the lens in it alone.
+        """
+        if exists(path) and any(
+            key in load_yaml(path, "camera calibration") for key in _OF_THE_PLATE
+        ):
+            raise InputError(
+                f"{path}: is a plate calibration, which another lens would make wrong; let "
+                "camera_info_url name a file of the lens alone, or '' for its usual one, then "
+                "calibrate the plate again"
+            )
         data: dict[str, Any] = {
             "image_width": self.width,
             "image_height": self.height,

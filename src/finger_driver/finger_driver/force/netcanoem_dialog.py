@@ -151,13 +151,14 @@ class Dialog:
     def _firmware(self) -> bytes:
         """Firmware frame; counts on the way how often the bus echoes an own frame."""
         first = self._first_id | protocol.READ_FIRMWARE
-        for frames in self._attempts(protocol.READ_FIRMWARE):
+        for attempt, frames in enumerate(self._attempts(protocol.READ_FIRMWARE)):
             echoes = 0
             for frame in frames:
                 if frame.arbitration_id != first:
                     continue
                 if frame.dlc == 4:
                     self._echoes = echoes
+                    self._await_late(attempt)
                     return bytes(frame.data)
                 echoes += frame.dlc == 0
         raise DeviceError(
@@ -167,12 +168,14 @@ class Dialog:
     def _set_calibration(self, slot: int) -> None:
         """Choose the slot and see it confirmed beyond the bus's own echoes of the request."""
         expected = self._first_id | protocol.SET_CALIBRATION
-        for frames in self._attempts(protocol.SET_CALIBRATION, bytes([slot])):
+        attempts = self._attempts(protocol.SET_CALIBRATION, bytes([slot]))
+        for attempt, frames in enumerate(attempts):
             seen = 0
             for frame in frames:
                 if frame.arbitration_id == expected and bytes(frame.data) == bytes([slot]):
                     seen += 1
                     if seen > self._echoes:
+                        self._await_late(attempt)
                         return
         raise DeviceError(
             f"{self._where}: calibration slot {slot} was not confirmed; slots are 0 to 15"

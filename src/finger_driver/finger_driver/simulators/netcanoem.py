@@ -27,6 +27,7 @@ import numpy as np
 from finger_common.settings import setting
 
 from ..can_bus import frame as can_frame
+from ..can_bus import may_be_own
 from ..protocols import netcanoem as protocol
 from .simulator import BusOptions, CanSimulator
 from .values import LoadOptions, no_load, numbers
@@ -48,6 +49,12 @@ FAULTS = {
     "rival": "another device sends a first frame of its own before that of a reading",
     "flood": "40 frames of other devices and of wrong lengths before a reading",
 }
+
+
+def _addressing(base: int | None, bitrate: int | None) -> str:
+    """Base identifier and bit rate (bit/s) as text, each where it is given."""
+    texts = [] if base is None else [f"base 0x{base:02X}"]
+    return ", ".join(texts + ([] if bitrate is None else [f"{bitrate} bit/s"]))
 
 
 def three_beam_matrix(radius: float = 5e-3, sensitivity: float = 500.0) -> np.ndarray:
@@ -121,10 +128,14 @@ class NetcanoemSimulator(CanSimulator):
         super().__init__()
         self.active_slot = 0
         self.readings = 0
+        self.bitrate: int | None = None
+        """Set by opcode 0xE, in bit/s; the bus is not changed."""
         self._pending_base: int | None = None
+        self._pending_bitrate: int | None = None
         self._held: list[can.Message] = []
         self._asleep_until = 0.0
-        self._echo_until = 0.0
+        self._echo_until: dict[bytes, float] = {}
+        """Unix time until which data of "set calibration" may be the echo of a reply."""
         self._random = np.random.default_rng(self.seed)
 
     @classmethod
@@ -143,7 +154,9 @@ class NetcanoemSimulator(CanSimulator):
         return simulator
 
     def describe(self) -> str:
-        return f"{super().describe()}, base 0x{self.base:02X}"
+        now = _addressing(self.base, self.bitrate)
+        pending = _addressing(self._pending_base, self._pending_bitrate)
+        return f"{super().describe()}, {now}" + (f"; after power-up {pending}" if pending else "")
 
     def commands(self) -> dict[str, Callable[..., None]]:
         return {"power": self.power_cycle, "units": self._set_units}
@@ -151,36 +164,41 @@ class NetcanoemSimulator(CanSimulator):
     def _set_units(self, force: str, torque: str) -> None:
         self.unit_codes = (int(force), int(torque))
 
-    def power_cycle(self) -> None:
-        """Off and on: slot 0, pending base identifier in force, nothing held back."""
+    def reset(self) -> None:
+        """Slot 0, nothing held back, silent for 10 ms."""
         self.active_slot = 0
         self._held.clear()
+        self._asleep_until = time.monotonic() + 0.01
+
+    def power_cycle(self) -> None:
+        """Off and on: a reset, and pending base identifier and bit rate in force."""
+        self.reset()
         if self._pending_base is not None:
             self.base, self._pending_base = self._pending_base, None
-        self._asleep_until = time.monotonic() + 0.01
+        if self._pending_bitrate is not None:
+            self.bitrate, self._pending_bitrate = self._pending_bitrate, None
 
     def run(self) -> None:
         while not self.ending:
-            frame = self.bus.recv(0.1)
+            frame = self.request(0.1)
             if frame is not None:
                 self._handle(frame)
 
     # Requests --------------------------------------------------------------------------------
 
     def _handle(self, frame: can.Message) -> None:
-        if frame.is_extended_id or frame.is_error_frame or frame.is_remote_frame:
-            return
         if frame.arbitration_id >> 4 != self.base:
             return
         opcode, data = frame.arbitration_id & 0xF, bytes(frame.data)
         # On a bus that echoes, own replies come back; their length differs from that of requests.
         if opcode not in protocol.REQUEST_LENGTH or len(data) != protocol.REQUEST_LENGTH[opcode]:
             return
-        # Not so for 0x6: on a bus that echoes, answering the echo of an own answer would never end.
-        if opcode == protocol.SET_CALIBRATION and time.monotonic() < self._echo_until:
-            return
+        # Not so for 0x6: answering the echo of an own answer would never end. It may come twice.
+        if opcode == protocol.SET_CALIBRATION and may_be_own(self.bus, frame):
+            if frame.timestamp < self._echo_until.get(data, 0.0):
+                return
         if self.faults.take("reset"):
-            self.power_cycle()
+            self.reset()
         if self.faults.value("silent") or time.monotonic() < self._asleep_until:
             return
         if self.response_time:
@@ -197,7 +215,7 @@ class NetcanoemSimulator(CanSimulator):
             for reply, (number, _) in zip(replies, protocol.REPLIES[opcode]):
                 self.bus.send(self._frame(number, reply))
             if opcode == protocol.SET_CALIBRATION:
-                self._echo_until = time.monotonic() + 0.02
+                self._echo_until[data] = time.time() + 0.02
 
     def _replies(self, opcode: int, data: bytes) -> list[bytes]:
         """Data of the reply frames."""
@@ -222,9 +240,10 @@ class NetcanoemSimulator(CanSimulator):
             self._pending_base = data[0] & 0x7F
             return [b""]
         if opcode == protocol.SET_BITRATE:
+            self._pending_bitrate = 2_000_000 // (data[0] + 1)
             return [b""]
         if opcode == protocol.RESET:
-            self.power_cycle()
+            self.reset()
             return []
         if opcode == protocol.READ_DIAGNOSTIC:
             return [b"\x08\x00"] if self.firmware[:2] >= (3, 8) else []

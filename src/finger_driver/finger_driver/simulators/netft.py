@@ -6,17 +6,19 @@
 Models: start, stop and bias requests, one client at a time, endless and counted streams, real-time
 and buffered mode, both sequence numbers, the status word, counts and units as on the page, output
 rates as integer fractions of the internal rate and, as an Axia, beyond it (samples repeat),
-`comm.cgi` for the rate, reboot (silent, then waiting for a new start); see FAULTS.
+`comm.cgi` for the rate, reboot (silent, then waiting for a new start, without the bias); see
+FAULTS.
 
-Does not model: the box's filter, monitor conditions, tool transforms, the slow TCP interface,
-EtherNet/IP, CAN, further pages, the transducer's noise beyond white noise, network loss (but see
-FAULTS).
+Does not model: the box's filter, another buffer size than ten records, monitor conditions, tool
+transforms, the slow TCP interface, EtherNet/IP, CAN, further pages, the transducer's noise beyond
+white noise, network loss (but see FAULTS).
 """
 
 from __future__ import annotations
 
 import dataclasses
 import http.server
+import math
 import select
 import socket
 import threading
@@ -97,7 +99,8 @@ class NetFtSimulator(Simulator):
         self._server.daemon_threads = True
         self.http_port = int(self._server.server_address[1])
         self._client: tuple[str, int] | None = None
-        self._left = 0
+        self._left = 0.0
+        """Records to send yet."""
         self._rdt = 0
         self._ft = 0.0
         self._per_datagram = 1
@@ -199,7 +202,7 @@ class NetFtSimulator(Simulator):
             now = time.monotonic()
             if self.faults.take("reboot"):
                 self._down_until, self._client = now + 0.5, None
-                self._rdt, self._ft = 0, 0.0
+                self._rdt, self._ft, self._bias = 0, 0.0, np.zeros(6)
             if self._client is None or self._down:
                 due = now
                 continue
@@ -207,7 +210,7 @@ class NetFtSimulator(Simulator):
                 continue
             period = self._per_datagram / self._rate
             due = max(due + period, now - 0.1)
-            self._send()
+            self._send(self._client)
 
     def _request(self) -> None:
         try:
@@ -218,15 +221,20 @@ class NetFtSimulator(Simulator):
         if self._down:
             return
         if command in (rdt.START_REALTIME, rdt.START_BUFFERED):
-            self._client, self._left, self._rdt = sender, count or -1, 0
+            self._client, self._left, self._rdt = sender, count or math.inf, 0
+            self._held = None
             self._per_datagram = 1 if command == rdt.START_REALTIME else 10
         elif command == rdt.STOP:
             self._client = None
         elif command == rdt.SET_BIAS:
             self._bias = np.array(self._force(time.time_ns()), dtype=float)
 
-    def _send(self) -> None:
-        data = b"".join(self._record() for _ in range(self._per_datagram))
+    def _send(self, client: tuple[str, int]) -> None:
+        number = int(min(self._per_datagram, self._left))
+        self._left -= number
+        if self._left == 0:
+            self._client = None
+        data = b"".join(self._record() for _ in range(number))
         if self.faults.take("gap"):
             return
         if self.faults.take("short"):
@@ -245,14 +253,10 @@ class NetFtSimulator(Simulator):
             datagrams.append(data)
         for datagram in datagrams:
             try:
-                self._socket.sendto(datagram, self._client or ("127.0.0.1", 9))
+                self._socket.sendto(datagram, client)
             except OSError:
                 self._client = None
                 return
-        if self._left > 0:
-            self._left -= 1
-            if self._left == 0:
-                self._client = None
 
     def _record(self) -> bytes:
         if self.faults.take("restart"):

@@ -3,10 +3,10 @@
 
 """A Robotous RFT force sensor on a python-can bus.
 
-Models: the commands model, serial number, firmware, output rate, one sample, start, stop and bias;
-samples in two frames with Tx across them; overload bits at 120 % of the rating; see FAULTS. Does
-not model: the filter, changing identifiers, overload counters, noise beyond white noise, bit rate
-and arbitration.
+Models: the commands model, serial number, firmware, set output rate, one sample, start, stop and
+bias; samples in two frames with Tx across them; overload bits at 120 % of the rating, bias or not;
+see FAULTS. Does not model: the filter, changing identifiers, reading settings back, overload
+counters, noise beyond white noise, bit rate and arbitration.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class RftSimulator(CanSimulator):
         due = time.monotonic()
         while not self.ending:
             wait = max(0.0, min(due - time.monotonic(), 0.05)) if self._streaming else 0.05
-            frame = self.bus.recv(wait)
+            frame = self.request(wait)
             if frame is not None and frame.arbitration_id == 0x64 and frame.dlc == 8:
                 self._command(bytes(frame.data))
             if self.faults.take("reset"):
@@ -102,9 +102,9 @@ class RftSimulator(CanSimulator):
     def _sample(self, response: int) -> None:
         if self.faults.value("silent"):
             return
-        wrench = np.asarray(self._force(time.time_ns()), dtype=float) - self._bias
-        overload = np.abs(wrench) > 1.2 * _RATING
-        wrench = wrench + self._noise * self._random.standard_normal(6)
+        load = np.asarray(self._force(time.time_ns()), dtype=float)
+        overload = np.abs(load) > 1.2 * _RATING
+        wrench = load - self._bias + self._noise * self._random.standard_normal(6)
         counts = np.clip(np.rint(wrench * _DIVIDERS), -32768, 32767)
         bits = sum(1 << (5 - axis) for axis in range(6) if overload[axis])
         data = struct.pack(">B6hBH", response, *(int(c) for c in counts), bits, 0)

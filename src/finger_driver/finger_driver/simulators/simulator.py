@@ -150,6 +150,14 @@ class CanSimulator(Simulator):
     def describe(self) -> str:
         return f"on {can_bus.describe(self.bus)}"
 
+    def request(self, timeout: float) -> can.Message | None:
+        """Frame that came within `timeout` (s), None for one that cannot be a request: devices take
+        data frames of CAN 2.0 with 11-bit identifiers."""
+        frame = self.bus.recv(timeout)
+        if frame is None or frame.is_extended_id or frame.is_error_frame:
+            return None
+        return None if frame.is_remote_frame or frame.is_fd else frame
+
     def close(self) -> None:
         if self.owns_bus:
             self.bus.shutdown()
