@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from .unloaded import Unloaded
+
 
 @dataclass(frozen=True)
 class TrialRecord:
@@ -81,7 +83,8 @@ class TrialSet:
     """Trials of one or more bags, what was left out, and what was wrong with the bags.
 
     pulls: trials for the friction, which are among the exclusions too. lost: bags of which
-    something could not be read.
+    something could not be read. moved: how the force of the unloaded plate moves in one bag, None
+    where it does not.
     """
 
     trials: list[TrialRecord] = field(default_factory=list)
@@ -89,6 +92,7 @@ class TrialSet:
     exclusions: list[Exclusion] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     lost: list[str] = field(default_factory=list)
+    moved: Unloaded | None = None
 
     def __len__(self) -> int:
         return len(self.trials)

@@ -32,7 +32,7 @@ from finger_model.paper import TARGET_FORCE
 
 from .image_settings import ImageSettings
 from .trial_records import Exclusion, TrialRecord, TrialSet
-from .unloaded import pressing_force
+from .unloaded import LARGEST_TARE, Unloaded, moved_plate, pressing_force
 
 CONDITION = re.compile(r"(?:\w[\w .,+()%-]{0,63})?")
 """Names of conditions; they name files of a fit too, so none may lead to another folder."""
@@ -120,17 +120,19 @@ def force_samples(streams: SessionStreams, settings: ReadSettings) -> np.ndarray
     samples["normal"] = normal_force(streams.wrenches.force, settings.axis)
     samples["lateral"] = lateral_force(streams.wrenches.force, settings.axis)
     samples = in_stamp_order(samples[np.isfinite(samples["normal"])])
-    areas = in_stamp_order(streams.areas)
-    empty = without_contact(areas["area"], areas["flags"])
-    touched = np.isfinite(areas["area"]) & ~empty
-    frames = areas["stamp_ns"]
     samples["pressing"] = pressing_force(
         np.ascontiguousarray(samples["stamp_ns"]),
         np.ascontiguousarray(samples["normal"]),
-        frames[touched],
-        frames[empty],
+        *_frames(in_stamp_order(streams.areas)),
     )
     return samples
+
+
+def _frames(areas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Stamps (m,), (k,) of the frames that show a contact, and none."""
+    empty = without_contact(areas["area"], areas["flags"])
+    touched = np.isfinite(areas["area"]) & ~empty
+    return areas["stamp_ns"][touched], areas["stamp_ns"][empty]
 
 
 def split(
@@ -147,6 +149,9 @@ def split(
     if recording.unusable:
         result.problems.append(f"{bag}: {recording.unusable} wrenches without a finite force")
     result.problems += doubts
+    result.moved = recording.moved
+    if result.moved is not None and abs(result.moved.force) > LARGEST_TARE:
+        result.problems.append(f"{bag}: {result.moved.words}; the forces of its presses are wrong")
     if streams.trials:
         chosen, without = _by_messages(streams.trials, stamp, normal, recording.presses)
     else:
@@ -208,6 +213,16 @@ class _Recording:
         self._areas = in_stamp_order(streams.areas)
         self._indentations = in_stamp_order(streams.indentations)
         self.presses = settings.presses(self.stamp_ns, self.pressing)
+
+    @property
+    def moved(self) -> Unloaded | None:
+        """How the force of the unloaded plate moves."""
+        if not len(self.stamp_ns):
+            return None
+        touched, empty = _frames(self._areas)
+        start = self.stamp_ns[0]
+        time, *frames = (seconds(stamps - start) for stamps in (self.stamp_ns, touched, empty))
+        return moved_plate(time, self._normal, *frames)
 
     def trial(
         self, press: _Press, number: int, moisture: tuple[list[float], list[float]]

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d, uniform_filter1d
@@ -50,7 +51,13 @@ LARGEST_TARE = 0.1
 """N of force without contact from which it is refused: a fit of such a force is not final."""
 
 DRIFTS = 0.03
-"""N between two rests from which the tare is called drifting."""
+"""N between two rests from which the tare is said to move."""
+
+JUMP = 0.8
+"""Share of its whole movement by which the tare changes between two rests where it jumps."""
+
+PRESSED = 0.2
+"""N above the rests beside it from which a force is a press: a trial's `minimum_peak`."""
 
 SPIKE, SPIKE_WINDOW = 0.3, 7
 """N by which a spike leaves the samples beside it, and samples among which it is sought; one or two
@@ -74,12 +81,12 @@ class Tare:
 
 @dataclass(frozen=True)
 class Unloaded:
-    """The unloaded plate in a whole recording: its force (N) farthest from zero, whether it drifts,
-    and both in words."""
+    """The unloaded plate in a whole recording: its force (N) farthest from zero, in words, and
+    between which times (s) it moves; None where it does not."""
 
     force: float
-    drifts: bool
     words: str
+    moves: tuple[float, float] | None = None
 
 
 def unloaded_tare(
@@ -170,28 +177,96 @@ def rest_levels(
     contact, and at which it saw none. Without a camera a small steady force is a rest; a larger one
     is none, whatever the camera says: its clock may be wrong.
     """
-    nothing = np.empty(0)
+    # Areas of a clock that is a little late touch the edge of a rest.
+    found = [r for r in _steady_parts(time, force, touched, empty) if r.is_small and not r.touched]
+    return np.array([0.5 * (r.begin + r.end) for r in found]), np.array([r.level for r in found])
+
+
+class _Steady(NamedTuple):
+    """A steady part of a recording: times in s, force in N, frames with and without a contact."""
+
+    begin: float
+    end: float
+    level: float
+    seen: int
+    free: int
+
+    @property
+    def is_small(self) -> bool:
+        """Whether it may be a tare by its size."""
+        return abs(self.level) <= LARGEST
+
+    @property
+    def touched(self) -> bool:
+        """Whether the camera saw a finger."""
+        return self.seen > self.free
+
+
+def _steady_parts(
+    time: np.ndarray, force: np.ndarray, touched: np.ndarray, empty: np.ndarray
+) -> list[_Steady]:
+    """Where the force is steady, in order; arguments as of `rest_levels`."""
     if len(time) < 10 or time[-1] <= REST:
-        return nothing, nothing
+        return []
     smooth = smooth_force(time, force)
     window = max(round(REST / max(float(np.median(np.diff(time))), 1e-6)), 2)
     high = maximum_filter1d(smooth, window, mode="nearest")
     steady = high - minimum_filter1d(smooth, window, mode="nearest") <= 2.0 * STEADY
-    middles, levels = [], []
+    found = []
     for first, end in contacts(steady.astype(float), 0.5, 0.5):
         begin, stop = float(time[first]), float(time[end - 1])
-        if stop - begin < 0.5 * SHORTEST:
-            continue
-        seen, free = (
-            int(np.count_nonzero((times >= begin) & (times <= stop))) for times in (touched, empty)
-        )
-        level = float(np.median(smooth[first:end]))
-        # Areas of a clock that is a little late touch the edge of a rest.
-        if seen > free or abs(level) > LARGEST:
-            continue
-        middles.append(0.5 * (begin + stop))
-        levels.append(level)
-    return np.array(middles), np.array(levels)
+        if stop - begin >= 0.5 * SHORTEST:
+            seen, free = (
+                int(np.count_nonzero((times >= begin) & (times <= stop)))
+                for times in (touched, empty)
+            )
+            found.append(_Steady(begin, stop, float(np.median(smooth[first:end])), seen, free))
+    return found
+
+
+def moved_plate(
+    time: np.ndarray, force: np.ndarray, touched: np.ndarray, empty: np.ndarray
+) -> Unloaded | None:
+    """How the force of the unloaded plate moves, by jump or drift, from one press of a recording to
+    the next; None where it does not. Arguments as of `rest_levels`.
+
+    Rests before and after a press count, or all where there is no press: a tare between presses
+    moves the force too. A steady negative force is a rest of any size, for a finger cannot pull; a
+    positive one beyond `LARGEST` where the camera, which agrees with the force elsewhere, saw none.
+    """
+    force, _ = without_spikes(force)
+    parts = _steady_parts(time, force, touched, empty)
+    sees = len(touched) > 0 and not any(p.touched for p in parts if p.is_small)
+    rests = [
+        p
+        for p in parts
+        if not p.touched
+        and (p.level <= LARGEST or (sees and p.seen == 0 and p.free >= EMPTY_FRAMES))
+    ]
+    if not rests:
+        return None
+    # The stretch before the first rest, those between two, and that after the last one.
+    ends = np.searchsorted(time, [r.end for r in rests], side="right")
+    begins = np.searchsorted(time, [r.begin for r in rests])
+    levels = np.array([-np.inf, *(r.level for r in rests), -np.inf])
+    stretches = zip([0, *ends], [*begins, len(time)], np.maximum(levels[:-1], levels[1:]))
+    pressed = [b > a and float(force[a:b].max()) - base > PRESSED for a, b, base in stretches]
+    chosen = [r for r, *sides in zip(rests, pressed, pressed[1:]) if any(sides)] or rests
+    levels = np.array([r.level for r in chosen])
+    if float(np.ptp(levels)) <= DRIFTS:
+        return None
+    # A jump is most of the change, from one rest to the next; a drift needs several.
+    jumps = np.flatnonzero(np.abs(np.diff(levels)) > JUMP * np.ptp(levels))
+    span, verb = sorted([int(np.argmin(levels)), int(np.argmax(levels))]), "drifts"
+    if len(levels) > 2 and len(jumps):
+        span, verb = [int(jumps[0]), int(jumps[0]) + 1], "jumps"
+    first, last = (chosen[k] for k in span)
+    return Unloaded(
+        float(levels[np.argmax(np.abs(levels))]),
+        f"the force {verb} from {_newtons(first.level)} to {_newtons(last.level)} while nothing "
+        f"touches the plate, between {first.end:.1f} s and {last.begin:.1f} s",
+        (first.end, last.begin),
+    )
 
 
 def pressing_force(
@@ -219,17 +294,15 @@ def unloaded_plate(
 ) -> Unloaded | None:
     """What the recording shows of the unloaded plate, None where it shows no rest; arguments as of
     `rest_levels`."""
+    moved = moved_plate(time, force, touched, empty)
+    if moved is not None:
+        return moved
     force, _ = without_spikes(force)
-    _, levels = rest_levels(time, force, touched, empty)
-    if len(levels) and float(np.ptp(levels)) > DRIFTS:
-        worst = float(levels[np.argmax(np.abs(levels))])
-        words = f"the force drifts from {_newtons(levels[0])} to {_newtons(levels[-1])}"
-        return Unloaded(worst, True, f"{words} while nothing touches the plate")
     tare = unloaded_tare(time, force, smooth_force(time, force), touched, empty)
     if tare is None:
         return None
     words = f"the force is {_newtons(tare.force)} while nothing touches the plate"
-    return Unloaded(tare.force, False, f"{words} ({tare.seconds:.2g} s at the beginning or end)")
+    return Unloaded(tare.force, f"{words} ({tare.seconds:.2g} s at the beginning or end)")
 
 
 def _newtons(force: float) -> str:

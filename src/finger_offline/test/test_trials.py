@@ -36,6 +36,7 @@ from finger_offline.process import process
 from finger_offline.process_options import ProcessOptions
 from finger_offline.trial_split import TrialSettings
 from finger_offline.trials import load_trials, streams_with_areas
+from finger_offline.unloaded import moved_plate
 
 
 @pytest.mark.parametrize("messages", [True, False], ids=["trial messages", "force alone"])
@@ -422,6 +423,65 @@ def test_an_untared_force_of_another_lab_is_not_fit_for_use(tmp_path: Path) -> N
         checks = {c.name: c for c in validate(path).checks}
         assert checks["tare"].status == ("fail" if tare else "ok")
         assert f"{tare:.2f} N while nothing touches the plate" in checks["tare"].detail
+
+
+MOVES: dict[str, tuple[Callable[[float], float], str, str]] = {
+    "jump down between presses": (
+        lambda t: -0.5 * (t >= 8.0),
+        "from trial 2 on: the force jumps from 0.00 N to -0.50 N",
+        "between 7.9 s and 8.1 s",
+    ),
+    "jump up in a press": (
+        lambda t: 0.5 * (t >= 9.2),
+        "from trial 2 on: the force jumps from 0.00 N to 0.50 N",
+        "between 8.4 s and 11.1 s",
+    ),
+    "one press higher": (
+        lambda t: 0.5 * (4.0 <= t < 8.0),
+        "from trial 1 on: the force jumps from 0.00 N to 0.50 N",
+        "between 3.9 s and 4.1 s",
+    ),
+    "the beginning lower": (
+        lambda t: -0.5 * (t < 4.0),
+        "from trial 1 on: the force jumps from -0.50 N to 0.00 N",
+        "between 3.9 s and 4.1 s",
+    ),
+    "drift down": (lambda t: -0.03 * t, "the force drifts from -0.01 N to -0.47 N", "0.4 s and"),
+    "drift up": (lambda t: 0.03 * t, "the force drifts from 0.01 N to 0.47 N", "0.4 s and"),
+}
+
+
+@pytest.mark.parametrize("move", MOVES)
+def test_a_tare_that_moves_is_said_and_fails_nothing_else(tmp_path: Path, move: str) -> None:
+    """A press whose zero has fallen by half a newton stays below its target on paper alone."""
+    tare, words, times = MOVES[move]
+    path = tmp_path / "bag"
+    with BagWriter(path, {"condition": "dry", "subject": "S01"}) as bag:
+        for t in np.arange(0, 16.0, 0.002):
+            stamp, force = START + round(t * 1e9), float(press_force(np.array(t % 4.0)))
+            bag.write("wrench", wrench(stamp, force + tare(t) + 0.002 * np.sin(60.0 * t)))
+            if round(t * 500) % 50 == 0:
+                fields = {"header": {"stamp": stamp}, "gross_area": 60e-6 * force**0.4}
+                bag.write("contact_area", fields)
+    checks = {c.name: c for c in validate(path).checks}
+    assert words in checks["tare"].detail and times in checks["tare"].detail
+    assert "tare, and record these presses again" in checks["tare"].detail
+    failed = {n for n, c in checks.items() if c.status == "fail"}
+    assert failed == {"tare"}
+    assert any("while nothing touches the plate" in p for p in load_trials(path).problems)
+
+
+def test_a_hold_that_the_camera_misses_is_no_tare() -> None:
+    """A camera that sees nothing, or whose clock is wrong, makes no rest of a finger."""
+    time = np.arange(0.0, 12.0, 0.002)
+    force = press_force(time % 4.0) + 0.6 * np.exp(-(((time % 4.0) - 1.5) ** 2) / 0.01)
+    frames = np.arange(0.0, 12.0, 0.1)
+    touching = press_force(frames % 4.0) > 0.0
+    for seen in (np.zeros_like(touching), np.roll(touching, 20)):
+        assert moved_plate(time, force, frames[seen], frames[~seen]) is None
+    assert moved_plate(time[:400], force[:400], frames[:8], frames[:0]) is None
+    moved = moved_plate(time, force + 0.5 * (time > 5.5), frames[touching], frames[~touching])
+    assert moved is not None and moved.force == pytest.approx(0.5, abs=0.01)
 
 
 def guided_trial(path: Path, untared: float, pulled: bool = False) -> Path:

@@ -167,7 +167,7 @@ def check_tare(
     touched, empty = frames[area > 0], frames[area <= 0]
     plate = unloaded_plate(time, found.normal, touched, empty)
     if plate is not None and abs(plate.force) > LARGEST_TARE:
-        if plate.drifts:
+        if plate.moves:
             remedy = "import parts of the recording with --tare each, or a force without drift"
         elif tared:
             remedy = "shorten --tare to the seconds without contact"
