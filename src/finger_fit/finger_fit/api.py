@@ -418,7 +418,7 @@ class Fit:
 
         Without arguments: the fitted areas at all frames that count, in the order of `frames()`.
         condition: may be left out where there is one. Raises InputError, also for a force beyond
-        the model's limit.
+        the model's limit, or one that it cannot follow.
         """
         if time is None and force is None:
             chosen = [condition] if condition else self.conditions
@@ -436,6 +436,12 @@ class Fit:
             )
         drive = (seconds - seconds[0], np.maximum(newtons, 0.0), np.arange(len(seconds)))
         areas = found.problem.model.batch(found.parameters[None], [drive])[0][0]
+        if np.isnan(areas).any():
+            row = int(np.argmax(np.isnan(areas)))
+            raise InputError(
+                f"predict: the model cannot follow the force of {newtons[row]:.3g} N at t = "
+                f"{seconds[row]:.4g} s with these parameters; lower the force"
+            )
         return areas * found.problem.correction_at(found.parameters, drive[1])
 
     def _condition(self, name: str | None) -> ConditionFit:
@@ -443,7 +449,8 @@ class Fit:
         if name is None and len(fits) == 1:
             return next(iter(fits.values()))
         if name not in fits:
-            raise InputError(f"condition {name!r}: choose one of {', '.join(fits)}")
+            named = "no condition is given" if name is None else f"condition {name!r}"
+            raise InputError(f"{named}: choose one of {', '.join(fits)}")
         return fits[name]
 
     def frames(self) -> dict[str, np.ndarray]:
@@ -490,9 +497,11 @@ class Fit:
         return Path(folder)
 
     def report(self, folder: str | Path) -> Path:
-        """`save`, and report.html with its figures; returns the page's path."""
+        """`save`, and report.html with its figures, into a folder; returns the page's path."""
         from .report import write_report
 
+        if Path(folder).suffix in (".html", ".htm"):
+            raise InputError(f"report: {folder} names a page; give a folder, report.html is in it")
         if all(part.deformed is None for part in self.result.parts.values()):
             draw(self.result)
         self.save(folder)
@@ -549,9 +558,9 @@ def fit(
     changed = "".join(f", {name}={value!r}" for name, value in options.items())
     subjects = {}
     for name, part in result.subjects.items():
-        part.sources = provenance(result.model, chosen, (), f"finger_fit.fit(…{changed})")
+        part.sources = provenance(part, chosen, (), f"finger_fit.fit(…{changed})")
         subjects[name] = Fit(part)
-    result.sources = provenance(result.model, chosen, (), f"finger_fit.fit(…{changed})")
+    result.sources = provenance(result, chosen, (), f"finger_fit.fit(…{changed})")
     return Fit(result, subjects)
 
 

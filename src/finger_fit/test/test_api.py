@@ -143,6 +143,8 @@ def test_a_model_without_a_law_is_fitted_and_reported(
     assert found.status == {"dry": "not checked"}
     assert any("the model has no 'material'" in note for note in found.notes)
     found.report(tmp_path)
+    with pytest.raises(InputError, match="give a folder"):
+        found.report(tmp_path / "report.html")
     assert (tmp_path / "fit.json").is_file() and not (tmp_path / "parameters.yaml").exists()
 
 
@@ -433,6 +435,20 @@ def test_bad_arrays_are_named(change: dict[str, Any], sentence: str) -> None:
         fit([Trial(**good, condition="dry")] * 3)
     with pytest.raises(InputError, match="did you mean 'bootstrap'"):
         fit([Trial(**good)], bootstraps=3)
+
+
+def test_presses_of_one_commanded_force_are_all_fitted(double: SimpleNamespace) -> None:
+    """They were thrown away as one press, though each has areas of its own."""
+    rng = np.random.default_rng(0)
+    (press,) = trials_of(double, 1, condition="dry", subject="S01")
+    noise = 0.3e-6 * rng.normal(size=(3, len(press.area))) * (press.area > 0)
+    found = fit(
+        [replace(press, area=press.area + own) for own in noise],
+        model=double.HereditaryModel(),
+        **{**QUICK, "bootstrap": 0, "profiles": False},
+    )
+    assert len(found.result.fits["dry"].problem) == 3
+    assert any("same force" in note and "S01 dry trial 2; all" in note for note in found.notes)
 
 
 def test_noise_on_an_area_of_zero_is_no_contact() -> None:

@@ -16,7 +16,7 @@ from scipy.stats import ttest_1samp
 from finger_common.cli import run
 from finger_common.errors import InputError
 from finger_fit.cli import command
-from finger_fit.design import Plan, expected, plan_of, power, presses_for, subjects_for
+from finger_fit.design import Plan, expected, plans_of, power, presses_for, subjects_for
 from finger_fit.design.command import finger_of
 from finger_fit.design.expected import expected_of
 from finger_fit.design.power import contrast_deviation
@@ -198,6 +198,38 @@ def test_a_sensor_never_widens_what_a_fit_leaves_open() -> None:
         assert exact.data["E1"] < 0.8 * sensed.data["E1"]
 
 
+def test_plans_are_read_from_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "long.yaml"
+    path.write_text("presses: 20\nhold: 2\nwindow: contact\n")
+    long = Plan(presses=20, hold=2.0, window="contact")
+    assert plans_of(str(path)) == [("long", long)]
+    path.write_text("short:\n  presses: 4\nlong: {presses: 20, hold: 2, window: contact}\n")
+    assert plans_of(str(path)) == [("short", Plan(presses=4)), ("long", long)]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("press: 3\n", "plan.yaml: 'press' does not exist"),
+        ("a: {press: 3}\n", "plan.yaml: a: 'press' does not exist"),
+        ("presses: many\n", "'presses' is 'many'"),
+        ("a: {presses: 4}\npresses: 4\n", "'presses' is no plan"),
+        ("- 3\n", "plan.yaml"),
+        ("", "the plan is empty"),
+        (None, "plan.yaml"),
+    ],
+)
+def test_a_bad_file_of_plans_is_one_sentence(
+    text: str | None, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "plan.yaml"
+    if text is not None:
+        path.write_text(text)
+    assert run(command, ["design", "--plan", str(path)]) == 2
+    error = capsys.readouterr().err
+    assert words in error and len(error.strip().splitlines()) == 1
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -240,6 +272,6 @@ def test_a_finger_is_named_with_or_without_units() -> None:
 
 def test_a_press_that_shows_no_frame_is_refused(double) -> None:
     with pytest.raises(InputError, match="longer presses"):
-        name, plan = plan_of("quick:shortest=0.1,longest=0.1,frame_rate=4")
+        ((name, plan),) = plans_of("quick:shortest=0.1,longest=0.1,frame_rate=4")
         assert name == "quick"
         expected(plan, double.HereditaryModel(), double.TRUTH)

@@ -31,8 +31,11 @@ from finger_fit.report_units import MM4, three_digits
 from finger_fit.results import FitResult
 from finger_fit.results.tables import goodness_rows
 from finger_fit.search import Stopped, all_free, refine
-from finger_fit.study import fit_condition, fit_records
+from finger_fit.study import fit_condition, fit_records, provenance
+from finger_model.geometry import Geometry
 from finger_model.parameter_sets import ParameterSets
+from finger_model.reduced import ReducedModel
+from finger_model.reduced.model import load_population
 
 QUICK = {
     "full_order": False, "profiles": False, "bootstrap": 0, "bias_pairs": 0, "grid": 3,
@@ -442,6 +445,28 @@ def test_the_parameter_file_has_what_the_data_leave_open_alone(study) -> None:
             assert exported == pytest.approx(known.data_deviation("composite_E"))
             whole = np.sqrt(slope @ fit.covariance_log() @ slope)
             assert whole == pytest.approx(known.deviation("composite_E"))
+
+
+def test_the_error_of_the_reduced_model_is_that_of_the_fitted_parameters(study) -> None:
+    """In the report's provenance, and where it is taken off the scatter of the presses."""
+
+    def told(model: ReducedModel, skin: float) -> tuple[Any, Any]:
+        fits = {name: copy.copy(fit) for name, fit in study.fits.items()}
+        for fit in fits.values():
+            fit.problem = copy.copy(fit.problem)
+            fit.problem.model = model
+        fits["dry"].parameters = fits["dry"].parameters * [1.0, 1.0, 1.0, skin]
+        found = replace(study, fits=fits)
+        (sets,) = results.parameter_files(with_moisture(found, dry=[40.0])).values()
+        return provenance(found, study.options)["reduced_model_error"], sets.presses
+
+    model = load_population(Geometry())
+    stated = model.meta["measured_error"]
+    middle, whole = told(model, 1.0), told(model, 0.1)
+    assert (middle[0], whole[0]) == (stated["middle"], stated["whole"])
+    alike = {**model.meta, "measured_error": dict.fromkeys(stated, stated["whole"])}
+    assert told(ReducedModel(model.arrays, alike), 1.0) == whole and whole[1] != middle[1]
+    assert study.model_error == {}, "the stand-in states none"
 
 
 def test_a_second_fit_leaves_nothing_of_the_first_but_foreign_files(

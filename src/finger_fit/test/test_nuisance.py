@@ -257,17 +257,19 @@ def test_gains_of_presses_are_scatter_not_precision(double) -> None:
     assert abs(pair.mean()) < sd
 
 
-def test_frames_of_a_press_are_no_independent_witnesses_of_its_gain(double) -> None:
-    """Also where no gain is fitted: frames alone would claim 0.38 of the spread."""
+@pytest.mark.parametrize("scatter", [0.0, 0.04])
+def test_frames_of_a_press_are_no_independent_witnesses_of_its_gain(double, scatter) -> None:
+    """Also where no gain is fitted: frames alone would claim 0.38 of the spread, and the larger
+    variance of each parameter alone 0.53 of that of composite E. Without gains nothing widens."""
     options = FitOptions(nuisances=False)
     errors, claimed = [], []
     for seed in range(16):
-        gains = np.exp(np.random.default_rng(seed).normal(0.0, 0.04, 8))
+        gains = np.exp(np.random.default_rng(seed).normal(0.0, scatter, 8))
         problem = problem_of(double, options, gains=gains, seed=seed)
         fit = refine(problem, all_free(problem), double.TRUTH)
         errors.append(error_of(double, fit.parameters))
         claimed.append(covariance(problem, fit.parameters).deviation("composite_E"))
-    assert np.median(claimed) > 0.5 * np.std(errors)
+    assert 0.8 < np.median(claimed) / np.std(errors) < 1.2
 
 
 def test_a_factor_of_all_areas_is_not_estimated_and_widens_the_interval(double) -> None:

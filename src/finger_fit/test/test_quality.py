@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from finger_bag.writer import BagWriter
 from finger_common.errors import InputError
 from finger_common.flags import AreaFlag
 from finger_fit.options import FitOptions
@@ -22,6 +24,7 @@ from finger_fit.problem import FitProblem
 from finger_fit.quality import screen
 from finger_fit.results import Finger, check_folder, parameter_files, write
 from finger_fit.study import fit_records
+from finger_fit.study.bags import load, reading
 from finger_model.anthropometry import estimate_geometry
 from finger_model.estimator.parameter_selection import check_sets
 from finger_model.finger import load_for
@@ -31,6 +34,7 @@ from finger_model.parameter_sets import ParameterSets
 from finger_model.reduced import ReducedModel
 from finger_model.reduced.model import load_population
 from finger_model.subjects import subject_file
+from finger_offline.process import process
 
 QUICK = FitOptions(
     full_order=False, profiles=False, bootstrap=0, bias_pairs=0, grid=2, particles=2, rounds=1
@@ -88,6 +92,70 @@ def test_a_press_measured_again_counts_once(double: SimpleNamespace, presses: li
     found = screen([*presses, *again, *other])
     assert len(found.records) == 8
     assert {e.subject for e in found.exclusions} == {"S01"} and len(found.exclusions) == 4
+
+
+def without_date(record: Any) -> Any:
+    """As an import makes it of a file whose times begin at 0."""
+    shift = int(record.stamp_ns[0]) - 946_684_800 * 10**9
+    return replace(
+        record, stamp_ns=record.stamp_ns - shift, area_stamp_ns=record.area_stamp_ns - shift
+    )
+
+
+def test_presses_of_one_nominal_force_are_all_fitted(
+    double: SimpleNamespace, presses: list[Any]
+) -> None:
+    """They may be one press, of whose images the areas were measured twice: it is noted."""
+    rng = np.random.default_rng(0)
+    ramp = presses[1]
+    noise = [0.3e-6 * rng.normal(size=len(ramp.area)) * (ramp.area > 0) for _ in range(3)]
+    again = [replace(ramp, bag=f"ramp_{i}", area=ramp.area + noise[i]) for i in range(3)]
+    result = fitted(double, [without_date(p) for p in again])
+    (fit,) = result.fits.values()
+    assert len(fit.problem) == 3 and not result.exclusions
+    (note,) = [n for n in result.problems if "the same force" in n]
+    assert "ramp_0 trial 1, ramp_1 trial 1, ramp_2 trial 1; all are kept" in note
+    # At several dates they are several presses, at one date they are one.
+    later = [
+        replace(p, stamp_ns=p.stamp_ns + i * 10**10, area_stamp_ns=p.area_stamp_ns + i * 10**10)
+        for i, p in enumerate(again)
+    ]
+    assert len(screen(later).records) == 3 and screen(later).notes
+    assert len(screen(again).records) == 1 and not screen(again).notes
+
+
+def test_simulated_presses_of_equal_areas_are_one(presses: list[Any]) -> None:
+    found = screen([without_date(replace(presses[0], index=i)) for i in range(3)])
+    assert len(found.records) == 1 and len(found.exclusions) == 2 and not found.notes
+
+
+def test_a_press_counts_where_only_its_copy_is_in_another_unit(presses: list[Any]) -> None:
+    wrong = replace(presses[0], area=presses[0].area * 1e6)
+    found = screen([wrong, replace(presses[0], bag="mapped")])
+    assert [record.bag for record in found.records] == ["mapped"]
+    assert "name the unit" in found.exclusions[0].reason
+
+
+@pytest.mark.parametrize("start", [1_700_000_000, 0])
+def test_copies_of_a_bag_count_once(tmp_path: Path, start: int) -> None:
+    """Of a clock that was set, and of one that was not."""
+    with BagWriter(tmp_path / "a", {"subject": "S01", "condition": "dry"}) as bag:
+        for k in range(1500):
+            force = 1.5 * min(max(k / 500 - 0.5, 0.0), max(2.5 - k / 500, 0.0), 1.0)
+            header = {"header": {"stamp": start * 10**9 + (k + 1) * 2_000_000}}
+            bag.write("wrench", {**header, "wrench": {"force": {"z": -force}}})
+            if k % 50 == 0:
+                bag.write("contact_area", {**header, "gross_area": 4e-5 * force})
+    shutil.copytree(tmp_path / "a", tmp_path / "copy")
+    process(tmp_path / "a", tmp_path / "processed")
+    bags = [tmp_path / name for name in ("a", "a", "copy", "processed")]
+    records = [record for path in bags for record in load([path], reading(FitOptions())).records]
+    found = screen(records)
+    assert len(records) == 4 and len(found.records) == 1 and not found.notes
+    # The images of the processed bag were measured by another threshold.
+    again = replace(records[3], area=1.03 * records[3].area)
+    found = screen([records[0], again])
+    assert [len(found.records), len(found.notes)] == ([1, 0] if start else [2, 1])
 
 
 def test_codes_of_subjects_that_differ_in_case_are_noted(
@@ -407,6 +475,24 @@ def test_frames_without_an_area_are_counted_and_many_fail(
     status, detail = status_of(result, "frames")
     assert dropped > used and status == "fail"
     assert f"of {used + dropped} frames {dropped} without a measurable contact" in detail
+
+
+def test_a_press_whose_frames_have_no_weight_hides_no_scatter(
+    double: SimpleNamespace, presses: list[Any]
+) -> None:
+    """All of it lies below the low force; the gains of the others are judged."""
+    light = double.make_record(9, 3.0, 0.3e-6, peak=0.19)
+    light.target_force = 0.17
+    others = [replace(r, area=r.area * gain) for r, gain in zip(presses, (0.5, 1.0, 1.0, 2.0))]
+    for record in others:
+        record.target_force = 1.35
+    options = replace(QUICK, low_force_weight=0.0, target_force=0.0, nuisances=False)
+    result = fitted(double, [*others, light], options)
+    status, detail = status_of(result, "scatter between presses")
+    assert status == "fail" and "nan" not in detail
+    assert "nan" not in status_of(result, "model against areas")[1]
+    (fit,) = result.fits.values()
+    assert [np.isnan(t.gain) for t in fit.quality.trials] == [False] * 4 + [True]
 
 
 def test_lists_that_are_cut_say_how_many_more_there_are(

@@ -27,7 +27,7 @@ from ..nuisance_names import name_of
 from ..nuisance_priors import NuisancePriors
 from ..options import FitOptions, value_of
 from .expected import Expected, expected, presses_for
-from .plan import Plan, plan_of
+from .plan import Plan, plans_of
 from .power import contrast_deviation, power, subjects_for
 
 PLANS = {
@@ -64,8 +64,9 @@ def parser() -> Parser:
     settings = ", ".join(f"{s.name} ({s.default}{' ' + s.unit if s.unit else ''})" for s in
                          Plan.parameters())  # fmt: skip
     p.add_argument(
-        "--plan", action="append", default=[], metavar="NAME:S=V,…",
-        help=f"a plan; repeatable (default: six of them). Settings: {settings}",
+        "--plan", action="append", default=[], metavar="NAME:S=V,…|YAML",
+        help="a plan, or a file with the settings of one or, by their names, of several; "
+        f"repeatable (default: six of them). Settings: {settings}",
     )  # fmt: skip
     p.add_argument(
         "--wanted", default="", metavar="Q=D",
@@ -143,7 +144,7 @@ def command(argv: Sequence[str]) -> int:
     wanted = _wanted(args.wanted, space)
     guess = finger_of(args.guess, space)
     other = finger_of(args.against, space) if args.against else None
-    named = list(map(plan_of, args.plan or PLANS))
+    named = [plan for text in args.plan or PLANS for plan in plans_of(text)]
     plans = dict(named)
     if len(plans) < len(named):
         twice = next(name for name in plans if [n for n, _ in named].count(name) > 1)

@@ -6,11 +6,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from finger_common.errors import InputError
+from finger_common.files import load_yaml
 from finger_common.settings import Settings, setting
 from finger_model.paper import PRESS_DURATION, TARGET_FORCE, TRIALS_PER_CONDITION
 
@@ -121,6 +123,12 @@ class Plan(Settings):
                 area, indentation = found[:, 0]
             else:
                 area = batch_areas(model, parameters[None], [drive])[0][0]
+            if not np.isfinite(area).all():
+                raise InputError(
+                    f"plan: the model cannot follow a press of {time[-1] - REST - REST_AFTER:.2g} "
+                    f"s to {self.peak:g} N with these parameters; lower peak, or guess stiffer "
+                    "tissue"
+                )
             touched = np.interp(frames, time, force) > 0
             if noise is not None:
                 area = area * np.exp(self.scatter * noise.normal())
@@ -146,8 +154,25 @@ class Plan(Settings):
         return problem
 
 
-def plan_of(text: str) -> tuple[str, Plan]:
-    """Name and plan of NAME:SETTING=VALUE,…; raises InputError that quotes it."""
+def plans_of(text: str) -> list[tuple[str, Plan]]:
+    """Names and plans of NAME:SETTING=VALUE,… or of a YAML file, which has the settings of one plan,
+    named as the file is, or those of several by their names. Raises InputError that quotes it."""
+    path = Path(text)
+    if path.suffix not in (".yaml", ".yml"):
+        return [_plan_of(text)]
+    found = load_yaml(path, "plan")
+    if not any(isinstance(value, dict) for value in found.values()):
+        return [(path.stem, Plan.from_mapping(found, text))]
+    for name, values in found.items():
+        if not isinstance(values, dict):
+            raise InputError(
+                f"{text}: '{name}' is no plan; give each plan its settings below its name"
+            )
+    return [(str(k), Plan.from_mapping(v, f"{text}: {k}")) for k, v in found.items()]
+
+
+def _plan_of(text: str) -> tuple[str, Plan]:
+    """Name and plan of NAME:SETTING=VALUE,…"""
     name, colon, rest = text.partition(":")
     values: dict[str, Any] = {}
     known = {p.name: p for p in Plan.parameters()}

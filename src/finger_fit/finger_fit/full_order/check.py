@@ -20,13 +20,14 @@ from .areas import BetterModel
 class FullOrderCheck:
     """Top candidates by both models.
 
-    full_costs (C,): in m⁴, J with the nuisances eliminated; areas (C, n): full-order areas (m²)
-    at the frames; rms_difference: of the best candidate's areas by both models, uncorrected, over
-    the largest area; best: index of the candidate that full order prefers; headline: name of the
-    space's headline quantity; change: its relative change by re-ranking; gain: by how much full
-    order finds that candidate better, as a χ² of one degree of freedom. A fit is final with
-    rms_difference ≤ AREA_LIMIT and change ≤ CHANGE_LIMIT; a larger change is none where gain ≤
-    GAIN_LIMIT: noise then decides which of the two is the best, and the interval holds both.
+    full_costs (C,): in m⁴, J with the nuisances eliminated, infinite where full order fails; areas
+    (C, n): full-order areas (m²) at the frames; rms_difference: of the best candidate's areas by
+    both models, uncorrected, over the largest area; best: index of the candidate that full order
+    prefers; headline: name of the space's headline quantity; change: its relative change by
+    re-ranking; gain: by how much full order finds that candidate better, as a χ² of one degree of
+    freedom. A fit is final with rms_difference ≤ AREA_LIMIT and change ≤ CHANGE_LIMIT; a larger
+    change is none where gain ≤ GAIN_LIMIT: noise then decides which of the two is the best, and the
+    interval holds both.
     """
 
     AREA_LIMIT: ClassVar[float] = 0.01
@@ -49,6 +50,8 @@ class FullOrderCheck:
     @property
     def reasons(self) -> list[str]:
         """Why the fit is not final; empty where it is."""
+        if not np.isfinite(self.rms_difference):
+            return ["the full-order model does not carry these presses with the fitted parameters"]
         out = []
         if not self.rms_difference <= self.AREA_LIMIT:
             out.append(
@@ -74,7 +77,7 @@ def check(
     best = int(np.nanargmin(full_costs)) if np.isfinite(full_costs).any() else 0
     headline = problem.space.headline
     values = problem.space.quantity(headline, candidates)
-    finite = bool(np.isfinite(full_costs).all())
+    finite = bool(np.isfinite(full_costs[0]))
     gain = (full_costs[0] / full_costs[best] - 1.0) * (areas.shape[1] - len(candidates[0]))
     difference = np.sqrt(np.mean((areas[0] - reduced[0]) ** 2)) / areas[0].max()
     return FullOrderCheck(

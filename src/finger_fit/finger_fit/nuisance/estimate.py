@@ -23,6 +23,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from finger_common.errors import ModelError
+
 from ..nuisance_names import (
     AREA_GAIN,
     COLLAPSE,
@@ -35,8 +37,16 @@ from ..nuisance_names import (
     is_assumed,
 )
 from ..options import FitOptions
-from ..problem import FitProblem, FitTrial, Nuisance, Nuisances, fit_power_law, robust_factor
-from ..search import LocalFit, all_free, refine
+from ..problem import (
+    FitProblem,
+    FitTrial,
+    Nuisance,
+    Nuisances,
+    fit_power_law,
+    robust_factor,
+    slope_between,
+)
+from ..search import LocalFit, all_free, carrying, refine
 from .geometry import PopulationGeometry, Response
 
 TRIAL_SHARE = 0.25
@@ -180,14 +190,23 @@ class NuisanceModel:
         for side in (1.0, -1.0):
             moved.redrive(self._drives(side * lag, side * tare))
             ends.append(moved.outputs(parameters)[0])
-        return (ends[0] - ends[1]) / (2.0 * (lag + tare))
+        middle = self.problem.outputs(parameters)[0]
+        return slope_between(np.array(ends), middle, np.full(2, lag + tare))
 
     def apply(self, parameters: np.ndarray) -> Nuisances:
         """Give the problem the present state: weights, drives, and the nuisances, linearised around
-        it at parameters (N,); returns the nuisances."""
+        it at parameters (N,), or near them where they do not carry the load of the present drives;
+        returns the nuisances."""
         problem = self.problem
         problem.weigh(self.noise)
         problem.redrive(self._drives())
+        carried = carrying(problem, all_free(problem), parameters)
+        if carried is None:
+            raise ModelError(
+                "the model cannot follow the presses once their tare and lag are estimated; fit "
+                "with --no-nuisances"
+            )
+        parameters = carried
         if self.population is not None:
             place = problem.space.to_log(parameters)
             if self._answered is None or np.abs(place - self._answered).max() > RESPONSE_HOLDS:
@@ -293,6 +312,8 @@ class NuisanceModel:
         assert found is not None
         problem.redrive(self._drives())
         areas = problem.areas(parameters)[0] * self._factor()
+        if not np.isfinite(areas).all():
+            return  # under these drives no longer carried; `apply` looks for others
         residual = areas - problem.measured
         counted = problem.weight > 0
         robust = robust_factor(residual, self.options)

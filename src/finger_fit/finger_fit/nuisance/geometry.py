@@ -152,6 +152,8 @@ class PopulationGeometry:
                 areas = in_rows(self.areas(parameters, changed, trials), trials)
             except InputError:
                 return None
+            if np.isnan(areas[np.isfinite(base)]).any():
+                return None  # this finger does not carry the load
             usable = (base > 0) & (areas > 0)
             return np.log(np.where(usable, areas, 1.0) / np.where(usable, base, 1.0))
 

@@ -12,7 +12,7 @@ from .cost import (
     material_of,
 )
 from .goal import Goal, Nuisance, Nuisances, losses, robust_factor
-from .outputs import batch_areas, batch_contacts, in_rows, trial_outputs
+from .outputs import batch_areas, batch_contacts, in_rows, slope_between, trial_outputs
 from .power_law import PowerLaw, fit_power_law, power_law_of
 from .trials import (
     Exclusion,

@@ -72,3 +72,13 @@ def in_rows(parts: Sequence[np.ndarray], trials: Sequence[FitTrial]) -> np.ndarr
     areas = [part[..., : len(t.frames)] for part, t in zip(parts, trials)]
     indentations = [part[..., len(t.frames) :] for part, t in zip(parts, trials)]
     return np.concatenate([*areas, *indentations], axis=-1)
+
+
+def slope_between(ends: np.ndarray, middle: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """Slope (…, n) of a model's outputs by differences, from those above and below: ends (2, …, n),
+    at steps (2, …) from the middle (n,). To one side where the model cannot carry the load on the
+    other, zero where it can on neither."""
+    usable = np.isfinite(ends) & np.isfinite(middle)
+    ends = np.where(usable, ends, np.where(np.isfinite(middle), middle, 0.0))
+    span = (steps[..., None] * usable).sum(axis=0)
+    return (ends[0] - ends[1]) / np.where(span > 0.0, span, 1.0)

@@ -89,7 +89,7 @@ def quality_of(fit: ConditionFit) -> Quality:
                 float(costs[index]),
                 _lag(trial, drives[index], curves[index][0]),
                 trial.rest.force if trial.rest else float("nan"),
-                float((weight * model * trial.area).sum() / (weight * model * model).sum()),
+                _gain(model, trial.area, weight),
                 len(trial.area),
                 int(((flags & AreaFlag.SATURATED) != 0).sum()),
                 int(((flags & sum(DOUBTFUL)) != 0).sum()),
@@ -120,9 +120,20 @@ def _drive(trial: FitTrial) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return steps, force, np.arange(len(steps))
 
 
+def _gain(model: np.ndarray, area: np.ndarray, weight: np.ndarray) -> float:
+    """Measured area over the model's (k,) in m²; NaN of a trial that does not count, without
+    weight."""
+    square = float((weight * model * model).sum())
+    return float((weight * model * area).sum()) / square if square > 0.0 else float("nan")
+
+
 def _lag(trial: FitTrial, drive: tuple[np.ndarray, ...], curve: np.ndarray) -> float:
-    area = np.asarray(trial.record.area, dtype=float)
-    found = log_lag(drive[0], drive[1], curve, trial.recording.frame_time, area)
+    # After the frames that count the force may be more than the model can follow.
+    known = np.isfinite(curve)
+    time, force = drive[0][known], drive[1][known]
+    frames, area = trial.recording.frame_time, np.asarray(trial.record.area, dtype=float)
+    area = np.where(frames <= time[-1] + STEP, area, np.nan)
+    found = log_lag(time, force, curve[known], frames, area)
     return float("nan") if found is None else found
 
 
@@ -189,6 +200,7 @@ def _check_tare(out: Quality) -> None:
 
 def _check_scatter(out: Quality) -> None:
     gains = np.array([t.gain for t in out.trials])
+    gains = gains[np.isfinite(gains)]
     spread = float(np.std(np.log(gains), ddof=1)) if len(gains) > 1 else 0.0
     status = FAIL if spread > SCATTER_LIMIT else NOTE if spread > SCATTER_NOTE else OK
     out.add(

@@ -70,13 +70,14 @@ class Misfit:
 
 def misfit(fit: ConditionFit, gains: np.ndarray) -> Misfit:
     """Compare areas and model of a fitted condition; gains (T,): measured area over the model's of
-    each press."""
+    each press, NaN of one that does not count."""
     problem = fit.problem
     measured, trial = problem.measured, problem.trial_of
     left = measured - gains[trial] * fit.areas
-    residual = float(np.sqrt((left**2).sum() / (measured**2).sum()))
+    counted = np.isfinite(left)
+    residual = float(np.sqrt((left[counted] ** 2).sum() / (measured[counted] ** 2).sum()))
     return Misfit(
-        float(np.exp(np.log(gains).mean())),
+        float(np.exp(np.nanmean(np.log(gains)))),
         residual,
         _outliers(fit),
         _trend(fit, left),
@@ -143,6 +144,8 @@ def _before_peak(frames: np.ndarray, time: np.ndarray, force: np.ndarray) -> np.
 def _by_duration(fit: ConditionFit, gains: np.ndarray) -> float:
     """Change of log gains (T,) between the shortest and the longest loading."""
     durations = np.array([t.time[int(np.argmax(t.force))] for t in fit.problem.trials])
+    known = np.isfinite(gains)
+    gains, durations = gains[known], durations[known]
     if len(gains) < 4 or not durations.min() > 0 or durations.max() < 1.2 * durations.min():
         return 0.0
     from scipy.stats import linregress  # half a second

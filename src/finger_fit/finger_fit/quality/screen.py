@@ -11,12 +11,18 @@ from typing import Any
 
 import numpy as np
 
+from finger_common.errors import listed
 from finger_common.files import sha256_of
 from finger_common.moisture import MOISTURE_TEXT, is_moisture
+from finger_common.stamps import NANOSECONDS
 from finger_offline.trial_checks import LARGEST_FORCE, PLAUSIBLE_AREA, fault_of
 
 from ..problem import Exclusion
 from ..problem.trials import label_of
+
+FIRST_DATE = 1_072_915_200 * NANOSECONDS
+"""Stamp (ns) from which times are dates: 2004-01-01. Times that are none are counted from 2000 by
+imports, from 1970 by a clock that was not set."""
 
 
 @dataclass
@@ -36,22 +42,32 @@ def screen(records: Sequence[Any], indentation: bool = True) -> Screened:
     """
     out = Screened()
     seen: dict[tuple[str, ...], str] = {}
+    forces: dict[tuple[str, ...], list[str]] = {}
     labels: set[str] = set()
     for record in records:
         label, number = label_of(record), 2
         while label in labels:  # bags of one name in different folders
             record = replace(record, bag=f"{str(record.bag).split(' (')[0]} ({number})")
             label, number = label_of(record), number + 1
-        first = next((seen[key] for key in fingerprints(record) if key in seen), label)
-        seen.update((key, first) for key in fingerprints(record))
+        force, *proofs = fingerprints(record)
+        first = next((seen[key] for key in proofs if key in seen), "")
         reason = implausible(record) or (implausible_indentation(record) if indentation else "")
-        if first is not label:
+        if first:
             reason = f"the same press as {first}; it counts once"
+        if first or not reason:
+            seen.update((key, first or label) for key in proofs)
         if reason:
             out.exclusions.append(Exclusion.of(record, reason))
-        else:
-            labels.add(label)
-            out.records.append(record)
+            continue
+        labels.add(label)
+        out.records.append(record)
+        forces.setdefault(force, []).append(label)
+    alike = [listed(group, 3) for group in forces.values() if len(group) > 1]
+    if alike:
+        out.notes.append(
+            f"presses of the same force, with areas of their own: {listed(alike, 3, '; ')}; all "
+            "are kept: if two of them are measurements of one press, give one"
+        )
     wrong = [v for record in out.records for v in _readings(record) if not is_moisture(v)]
     if wrong:
         out.records = [
@@ -74,16 +90,19 @@ def _readings(record: Any) -> list[float]:
     return [value for value in values if np.isfinite(value)]
 
 
-def fingerprints(record: Any) -> tuple[tuple[str, ...], ...]:
-    """Make the keys by which a press is known again, of its force with its times: with subject and
-    condition, however the areas were measured, and with the areas, whatever it is called.
+def fingerprints(record: Any) -> list[tuple[str, ...]]:
+    """Make the keys of a press: its force with its times, subject and condition, which presses of
+    a nominal force share; then those by which it is known again: its force and areas, whatever it
+    is called, and, where its stamps are dates, its force and date, however its areas were measured.
 
     Not by the force alone: simulated presses of two fingers may have the same.
     """
-    start = record.stamp_ns[0] if len(record.stamp_ns) else 0
+    start = int(record.stamp_ns[0]) if len(record.stamp_ns) else 0
     drive = _hash(np.asarray(record.stamp_ns) - start, record.force)
     areas = _hash(np.asarray(record.area_stamp_ns) - start, record.area)
-    return (drive, record.subject or "", record.condition or ""), (drive, areas)
+    force = (drive, record.subject or "", record.condition or "")
+    dated = [(*force, str(start))] if start >= FIRST_DATE else []
+    return [force, (drive, areas), *dated]
 
 
 def _hash(*columns: Any) -> str:

@@ -320,7 +320,7 @@ def _deformed(axes: Axes, finger: DeformedFinger, force: float) -> None:
         axes.plot(*(positions[fields.surface] * mirror).T, color="0.15", lw=0.8)
         axes.plot(*(rest[fields.surface] * mirror).T, color="0.45", lw=0.6, ls=(0, (2, 2)))
         axes.plot(*(positions[fields.interface] * mirror).T, color="0.35", lw=0.5)
-    nail = geometry.nail_radius * 1e3
+    nail = geometry.nail_reach * 1e3
     axes.fill_between([-nail, nail], 0, geometry.nail_thickness * 1e3, color="#d9d2c5", lw=0)
     r, z = geometry.bone_profile(np.linspace(0, 1, 60))
     bone_r = np.concatenate([-r[::-1], r]) * 1e3

@@ -189,7 +189,7 @@ def _intervals(fit: ConditionFit, quantities: dict[str, QuantityResult]) -> dict
                 **({} if q.identifiable is None else _ends(q.corrected_interval)),
             }
             for name, q in quantities.items()
-            if q.bias is not None
+            if q.bias is not None and q.identifiable is not False
         }
     if fit.samples is not None:
         out["bootstrap_95"] = {name: q.bootstrap for name, q in quantities.items()}

@@ -153,6 +153,11 @@ class ConditionFit:
         return float(values.mean()), float(values.std(ddof=1)) if len(values) > 1 else 0.0
 
     @property
+    def largest_force(self) -> float:
+        """Largest force (N) of the trials."""
+        return max(float(trial.force.max()) for trial in self.problem.trials)
+
+    @property
     def full_order_cost(self) -> float:
         """J (m⁴) of the full-order areas at the result; NaN where they were not computed."""
         if self.full_order is None:
@@ -271,6 +276,15 @@ class FitResult:
     def model(self) -> Any:
         """The model that was fitted, the same in all conditions."""
         return next(iter(self.fits.values())).problem.model
+
+    @property
+    def model_error(self) -> dict[str, Any]:
+        """What the reduced model's file states of its error with the parameters and forces of the
+        fits, of that one where it is largest; empty for other models."""
+        if not hasattr(self.model, "error_of"):
+            return {}
+        stated = [self.model.error_of(f.parameters, f.largest_force) for f in self.fits.values()]
+        return max(stated, key=lambda error: error.get("rms_p99", 0.0))
 
     @property
     def interrupted(self) -> bool:

@@ -9,6 +9,7 @@ import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -130,17 +131,19 @@ def _sets(
         where="fit",
         law=law,
         geometry=None if geometry == Geometry() else geometry,
-        presses=_scatter(result, [_residuals(fit) for fit in fits.values()]),
+        presses=_scatter(result.model, list(fits.values())),
     )
 
 
-def _scatter(
-    result: FitResult, conditions: Sequence[Sequence[PressResiduals]]
-) -> PressScatter | None:
+def _scatter(model: Any, fits: Sequence[ConditionFit]) -> PressScatter | None:
     """Scatter of the presses of all conditions, which the model node has one of; each condition is
-    known from its own number of them, of which the smallest counts."""
+    known from its own number of them, of which the smallest counts, and the model's error is the
+    largest one."""
+    conditions = [_residuals(fit) for fit in fits]
     fewest = min(map(len, conditions))
-    misfit = float(getattr(result.model, "rms_error", 0.0))
+    misfit = 0.0
+    if hasattr(model, "rms_error_of"):
+        misfit = max(model.rms_error_of(fit.parameters, fit.largest_force) for fit in fits)
     found = press_scatter([press for presses in conditions for press in presses], misfit)
     return replace(found, number=fewest) if found and fewest >= LEAST_PRESSES else None
 

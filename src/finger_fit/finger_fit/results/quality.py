@@ -16,8 +16,8 @@ class TrialQuality:
     """One trial.
 
     J: m⁴; lag: s of the areas behind the fitted model, NaN where it is unclear; tare: force (N) on
-    the unloaded plate, NaN where the trial does not show it; gain: measured area over the model's;
-    frames, saturated, doubtful, low: numbers of frames.
+    the unloaded plate, NaN where the trial does not show it; gain: measured area over the model's,
+    NaN where no frame has a weight; frames, saturated, doubtful, low: numbers of frames.
     """
 
     label: str

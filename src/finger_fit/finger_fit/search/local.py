@@ -23,6 +23,9 @@ DIFFERENCE = 2e-3
 """Step of the finite differences in logarithm: far above rounding, far below the curvature of the
 area."""
 
+WAY = np.linspace(0.0, 1.0, 9)[1:]
+"""Parts of a way at which parameters are looked for that carry the load."""
+
 
 class Target(Protocol):
     """What is minimised, as a function of a problem's outputs: a `problem.Goal`, or several."""
@@ -57,6 +60,21 @@ class LocalFit:
     evaluations: int
 
 
+def carrying(
+    problem: Problem, coordinates: Coordinates, parameters: np.ndarray
+) -> np.ndarray | None:
+    """Parameters (N,) if the model carries the load with them, else the nearest ones that do on the
+    way to the middle of the box or, where none do, to its upper end; None where none of them does.
+    """
+    box, start = coordinates.box, coordinates.of(parameters)
+    ways = [start + WAY[:, None] * (end - start) for end in (box.mean(axis=1), box[:, 1])]
+    for points in (parameters[None], *map(coordinates.parameters, ways)):
+        carried = np.isfinite(problem.outputs(points)).all(axis=1)
+        if carried.any():
+            return points[int(np.argmax(carried))]
+    return None
+
+
 def refine(
     problem: Problem,
     coordinates: Coordinates,
@@ -68,7 +86,8 @@ def refine(
     """Minimise J from the parameters `start` (N,).
 
     frame_weights (n,): in place of the problem's own, as the bootstrap has them; tolerance:
-    relative decrease of J that ends the search.
+    relative decrease of J that ends the search. A start that cannot carry the load gives way as in
+    `carrying`; where nothing can carry it, J stays infinite.
     """
     goal = problem.goal(frame_weights)
     box = coordinates.box
@@ -96,6 +115,12 @@ def refine(
             rows = outputs(np.vstack([u, moved]))
             base, neighbours = rows[0], rows[1:]
             cost = float(goal.cost(base))
+            if not np.isfinite(cost):
+                nearest = carrying(problem, coordinates, coordinates.parameters(u[None])[0])
+                if nearest is None:
+                    break
+                u, base = coordinates.of(nearest), None
+                continue
         else:
             neighbours = outputs(moved)
         residual, linear = goal.rows(base)

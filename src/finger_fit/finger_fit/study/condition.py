@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from finger_common.errors import InputError
 from finger_model.fem.area_model import FullOrderAreas
 
 from ..engine import Engine, LocalEngine
@@ -118,6 +119,13 @@ class _Stages:
                 else Search("pso", grid.candidates[:1], grid.costs[:1], False)
             )
         parameters, cost = min((grid.best, pso.best), key=lambda found: found[1])
+        if pso.complete and not np.isfinite(cost):
+            highest = max(float(trial.force.max()) for trial in problem.trials)
+            raise InputError(
+                f"no finger of the search box that was tried carries these presses, of up to "
+                f"{highest:.3g} N: the model cannot follow them; check the units of force and "
+                "area, give --bounds of stiffer tissue, or a lower --target-force"
+            )
         with progress.timed("power law"):
             law = fit_power_law(problem)
         fit = ConditionFit(progress.condition, problem, parameters, cost, grid, pso, law)

@@ -15,16 +15,17 @@ from finger_bag.schema import software_version
 
 from ..options import FitOptions
 from ..problem import material_of
+from ..results import FitResult
 
 LIBRARIES = ("numpy", "scipy", "numba", "pymoo", "opencv-python-headless", "matplotlib")
 """Libraries that the numbers of a fit depend on."""
 
 
 def provenance(
-    model: Any, options: FitOptions, bags: Sequence[dict[str, Any]] = (), command: str = ""
+    result: FitResult, options: FitOptions, bags: Sequence[dict[str, Any]] = (), command: str = ""
 ) -> dict[str, Any]:
     """What a fit is made of, for fit.json and the report."""
-    now = datetime.now(timezone.utc)
+    model, now = result.model, datetime.now(timezone.utc)
     return {
         "command": command,
         "date": now.date().isoformat(),
@@ -37,7 +38,7 @@ def provenance(
         "law": getattr(material_of(model), "name", "none"),
         "geometry_hash": model.geometry.hash() if hasattr(model, "geometry") else "",
         "reduced_model_hash": getattr(model, "hash", ""),
-        "reduced_model_error": getattr(model, "measured_error", {}),
+        "reduced_model_error": result.model_error,
         "bags": list(bags),
     }
 

@@ -402,7 +402,7 @@ def fit_bags(
     result.problems = [*loaded.problems, *result.problems]
     result.lost = loaded.lost
     for part in (result, *result.subjects.values()):
-        part.sources = provenance(result.model, options, loaded.sources, command)
+        part.sources = provenance(part, options, loaded.sources, command)
     result.seconds.update(progress.seconds)
     for fit in result.fits.values():
         for stage, spent in fit.seconds.items():

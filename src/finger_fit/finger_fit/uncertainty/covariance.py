@@ -7,7 +7,8 @@ With the frames' weights w, residuals r and sensitivities s = ∂A/∂x in the c
 (logarithms), J ≈ J_min + δᵀ H δ with H = Σ w s sᵀ. The estimate's covariance is V = H⁻¹ B H⁻¹, B
 the covariance of Σ w r s. B is computed twice: for independent frames of equal noise, and from the
 scatter of whole trials, which also holds when the frames of a trial share an error (Liang and Zeger
-1986). The larger variance is used.
+1986). What the second has more than the first, in any direction of the coordinates, is added to
+the first: no quantity, of several parameters either, then has less than the larger variance.
 
 With nuisance parameters (`problem.Goal`), those of one trial are eliminated in H and in the first
 B; those shared by all trials are further coordinates, with their priors in H and in both B. So the
@@ -25,7 +26,7 @@ import numpy as np
 
 from finger_model.laws import ParameterSpace
 
-from ..problem import FitProblem, robust_factor
+from ..problem import FitProblem, robust_factor, slope_between
 
 AT_BOUND = 1e-3
 """A parameter this close to a bound, in its coordinate, lies on it."""
@@ -195,8 +196,7 @@ class Covariance:
         return dict(zip(self.nuisances, map(float, found)))
 
     def _sandwich(self, free: Sequence[int]) -> np.ndarray:
-        """Covariance V of free coordinates: the larger of the two estimates of the module's
-        text."""
+        """Covariance V of free coordinates, from the two estimates of the module's text."""
         index = np.ix_(free, free)
         inverse = inverse_of(self.curvature[index])
         known = np.diag(self.prior[list(free)]) * self.variance
@@ -206,10 +206,11 @@ class Covariance:
         part = part - part.mean(axis=1, keepdims=True)
         clustered = part @ part.T * (trials / max(trials - 1, 1))
         by_trials = inverse @ (clustered + known) @ inverse
-        growth = np.sqrt(
-            np.maximum(np.diag(by_trials) / np.maximum(np.diag(by_frames), 1e-300), 1.0)
-        )
-        return by_frames * np.outer(growth, growth)
+        # Coordinates have different units.
+        scale = np.sqrt(np.maximum(np.diag(by_frames) + np.diag(by_trials), 1e-300))
+        units = np.outer(scale, scale)
+        values, vectors = np.linalg.eigh((by_trials - by_frames) / units)
+        return by_frames + (vectors * np.maximum(values, 0.0)) @ vectors.T * units
 
 
 def sensitivities(problem: FitProblem, parameters: np.ndarray) -> np.ndarray:
@@ -219,9 +220,10 @@ def sensitivities(problem: FitProblem, parameters: np.ndarray) -> np.ndarray:
     centre = space.to_log(parameters)
     lowest = np.array([np.log(p.log_offset) if p.log_offset else -np.inf for p in space])
     below = np.maximum(centre - _CENTRAL, lowest)
-    points = [centre + np.eye(number) * _CENTRAL, np.where(np.eye(number), below, centre)]
+    points = [centre + np.eye(number) * _CENTRAL, np.where(np.eye(number), below, centre), centre]
     rows = problem.outputs(space.from_log(np.vstack(points)))
-    return (rows[:number] - rows[number:]) / (_CENTRAL + centre - below)[:, None]
+    steps = np.stack([np.full(number, _CENTRAL), centre - below])
+    return slope_between(rows[:-1].reshape(2, number, -1), rows[-1], steps)
 
 
 def active_bounds(space: ParameterSpace, parameters: np.ndarray, box: np.ndarray) -> dict[str, str]:

@@ -94,8 +94,10 @@ def profile(
     order = np.argsort(places)
     all_places, all_costs = np.array(places)[order], np.array(costs)[order]
     threshold = best_cost + _allowed_rise(problem, name, found)
-    lower, open_low = _crossing(all_places, all_costs, middle, best_cost, threshold, -1)
-    upper, open_high = _crossing(all_places, all_costs, middle, best_cost, threshold, +1)
+    reach = _student(problem) * found.data_deviation(name)
+    shared = (all_places, all_costs, middle, best_cost, threshold, reach)
+    lower, open_low = _crossing(*shared, -1)
+    upper, open_high = _crossing(*shared, +1)
     added = NORMAL_95 * found.assumed_deviation(name)
     wide = middle + np.hypot([middle - lower, upper - middle], added) * [-1.0, 1.0]
 
@@ -145,21 +147,36 @@ def in_interval(
     log = np.log(value + space.log_offset(name))
     distance = abs(float(log - space.log_quantity(name, best)))
     data = distance * np.sqrt(allowed / rise)
+    if np.isinf(rise):
+        data = _student(problem) * found.data_deviation(name)
     return bool(distance <= np.hypot(data, NORMAL_95 * found.assumed_deviation(name)))
 
 
 def _allowed_rise(problem: FitProblem, name: str, found: Covariance) -> float:
     """Rise of J (m⁴) above its minimum at the ends of the 95 % interval."""
-    return float(stdtrit(max(len(problem) - 1, 1), 0.975) ** 2 * found.rise(name))
+    return float(_student(problem) ** 2 * found.rise(name))
+
+
+def _student(problem: FitProblem) -> float:
+    """Deviations from the estimate to an end of the 95 % interval."""
+    return float(stdtrit(max(len(problem) - 1, 1), 0.975))
 
 
 def _crossing(
-    logs: np.ndarray, costs: np.ndarray, centre: float, base: float, threshold: float, side: int
+    logs: np.ndarray,
+    costs: np.ndarray,
+    centre: float,
+    base: float,
+    threshold: float,
+    reach: float,
+    side: int,
 ) -> tuple[float, bool]:
     """Logarithm at which the profile first exceeds the threshold going outwards, and whether it
     never does.
 
-    The root of the rise is nearly linear in the logarithm and is interpolated there.
+    The root of the rise is nearly linear in the logarithm and is interpolated there. Where the
+    model cannot follow the presses any more (an infinite cost), the data exclude nothing: the end
+    is that of the curvature, at the distance `reach`.
     """
     beyond = logs[logs <= centre][::-1] if side < 0 else logs[logs >= centre]
     rises = costs[logs <= centre][::-1] if side < 0 else costs[logs >= centre]
@@ -171,5 +188,7 @@ def _crossing(
     k = int(above[0])
     if k == 0:
         return float(centre), False
+    if np.isinf(root[k]):
+        return centre + side * max(abs(float(beyond[k - 1]) - centre), reach), False
     share = (limit - root[k - 1]) / (root[k] - root[k - 1])
     return float(beyond[k - 1] + share * (beyond[k] - beyond[k - 1])), False
