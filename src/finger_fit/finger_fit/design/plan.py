@@ -155,8 +155,11 @@ class Plan(Settings):
 
 
 def plans_of(text: str) -> list[tuple[str, Plan]]:
-    """Names and plans of NAME:SETTING=VALUE,… or of a YAML file, which has the settings of one plan,
-    named as the file is, or those of several by their names. Raises InputError that quotes it."""
+    """Names and plans of NAME:SETTING=VALUE,… or of a YAML file.
+
+    A file has the settings of one plan, named as the file is, or those of several by their names.
+    Raises InputError that quotes the text.
+    """
     path = Path(text)
     if path.suffix not in (".yaml", ".yml"):
         return [_plan_of(text)]
