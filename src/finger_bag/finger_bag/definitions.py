@@ -11,6 +11,7 @@ distribution.
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -178,12 +179,20 @@ def _parse(message_type: str, definition: str, form: str) -> dict[str, Any]:
             f"definition of '{message_type}' has {len(definition)} characters, "
             f"{MAXIMUM_DEFINITION} are read at most; the bag is damaged"
         )
+    definition = _plain(definition)
     try:
         if form == "ros2idl" or definition.startswith(_SEPARATOR + "\nIDL:"):
             return dict(get_types_from_idl(definition))
         return dict(get_types_from_msg(definition, message_type))
     except BROKEN_MESSAGE:
         raise InputError(f"definition of '{message_type}' in the bag cannot be parsed") from None
+
+
+def _plain(definition: str) -> str:
+    """As Linux tools write it: others end lines otherwise, leave blanks, or begin with a mark."""
+    lines = [line.rstrip(" \t\0") for line in re.split("\r\n|\r|\n", definition.lstrip("\ufeff"))]
+    lines = [_SEPARATOR if re.fullmatch("={3,}", line) else line for line in lines]
+    return re.sub(f"{_SEPARATOR}\n+", f"{_SEPARATOR}\n", "\n".join(lines))
 
 
 def fields_of(message_type: str, definition: str, form: str) -> str:

@@ -16,6 +16,7 @@ from finger_bag.definitions import (
     decoder,
     definition_text,
     encode,
+    fields_of,
     own_definition,
     own_types,
     type_hash,
@@ -37,6 +38,28 @@ def test_definition_text_stands_alone(message_type: str) -> None:
     assert again.standard
     raw = encode(message_type, {})
     assert repr(again(raw)) == repr(decoder(message_type)(raw))
+
+
+@pytest.mark.parametrize("message_type", ["geometry_msgs/msg/WrenchStamped", "finger_msgs/msg/Trial"])
+@pytest.mark.parametrize(
+    "changed",
+    [
+        lambda text: text.replace("\n", "\r\n"),
+        lambda text: text.replace("=" * 80 + "\n", "=" * 80 + "\r\n"),
+        lambda text: text.replace("\n", "  \n"),
+        lambda text: "\ufeff" + text,
+        lambda text: text.replace("=" * 80, "=" * 40),
+        lambda text: text + "\0",
+        lambda text: text.replace("\nMSG:", "\n\nMSG:"),
+    ],
+)
+def test_definitions_are_read_as_other_systems_write_them(message_type: str, changed) -> None:
+    text = changed(definition_text(message_type))
+    assert text != definition_text(message_type)
+    assert Decoder(message_type, text).standard
+    assert fields_of(message_type, text, "ros2msg") == fields_of(
+        message_type, definition_text(message_type), "ros2msg"
+    )
 
 
 def test_type_hashes_equal_those_of_the_built_interfaces() -> None:

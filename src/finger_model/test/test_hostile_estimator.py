@@ -388,6 +388,20 @@ def test_a_wrong_model_is_named_and_the_flag_goes_once_it_has_adapted(model: Red
     assert right.mismatch().probability > 0.1
 
 
+@pytest.mark.parametrize("ratio", [0.35, 5.0])
+def test_a_finger_beyond_the_population_is_named_before_the_model_has_adapted(
+    model: ReducedModel, ratio: float
+) -> None:
+    """With the shipped prior, which adapts within the first areas."""
+    estimator = ContactEstimator(model)
+    for e in feed(ContactEstimator(model), 0.0, 12.0, press)[:: 100 // PERIOD]:
+        if e.area > 0:
+            estimator.add_area(e.stamp_ns, ratio * e.model_area, 1.5e-6)
+    flags = flagged(feed(estimator, 0.0, 12.0, press), StateFlag.MODEL_MISMATCH)
+    assert any(flags[: 4000 // PERIOD])
+    assert not any(flags[9000 // PERIOD :])
+
+
 def test_all_outputs_follow_the_fused_area(model: ReducedModel) -> None:
     estimator = ContactEstimator(model)
     expected = feed(ContactEstimator(model), 0.0, 4.0, press)

@@ -84,6 +84,7 @@ FILTER_BANK = np.dtype(
         ("stamp", "i8"),  # ns, time of mean and covariance
         ("moisture_stamp", "i8"),  # ns, until which the reading of the moisture has aged
         ("outliers", "i8"),  # in a row
+        ("areas", "i8"),  # of this finger that were compared so far
         ("surprise", "f8"),  # running mean of squared normalised innovations, 1 when consistent
         ("mismatch", "?"),  # surprise is, or recently was, too large
     ],
@@ -109,8 +110,10 @@ FILTER_NOISE = np.dtype(
 )
 """Variances that the filters assume."""
 
-SURPRISE_MEMORY = 0.85
-"""Share of the running mean of squared innovations kept from one area to the next."""
+SURPRISE_MEMORY, EXPECTED = 0.85, 2
+"""Share of the running mean of squared innovations kept from one area to the next, but of the first
+areas of a finger the plain mean with so many that were as expected: the filters soon follow what
+the model does not know, and only the first ones show it."""
 MISMATCH, MATCH = 3.0, 2.0
 """The model is another finger's from the first on, and this one's again below the second."""
 MOST_SURPRISE = 25.0
@@ -168,6 +171,7 @@ def initialise(bank, noise, moisture_stamp):
         for i in range(FINGER_STATES):
             bank.mean[k, i] = noise.prior_mean[i]
     _widen(bank, noise)
+    bank.areas = 0
     bank.surprise = 1.0
     bank.mismatch = False
     bank.measured = False
@@ -181,6 +185,7 @@ def keep(bank, copy):
     copy.mean[:] = bank.mean
     copy.covariance[:] = bank.covariance
     copy.log_weight[:] = bank.log_weight
+    copy.areas = bank.areas
     copy.surprise = bank.surprise
     copy.mismatch = bank.mismatch
     copy.moisture_stamp = bank.moisture_stamp
@@ -346,9 +351,9 @@ def correct(bank, noise, stamp, h, offset, model_area, area, sd):
     least = math.inf
     for k in range(FILTERS):
         least = min(least, _normalised(bank, k, noise, h, offset, model_area, area, sd))
-    bank.surprise = SURPRISE_MEMORY * bank.surprise + (1.0 - SURPRISE_MEMORY) * min(
-        least, MOST_SURPRISE
-    )
+    bank.areas += 1
+    share = max(1.0 - SURPRISE_MEMORY, 1.0 / (EXPECTED + bank.areas))
+    bank.surprise += share * (min(least, MOST_SURPRISE) - bank.surprise)
     bank.mismatch = bank.surprise > (MATCH if bank.mismatch else MISMATCH)
     if least > noise.outlier_limit**2:
         bank.outliers += 1
