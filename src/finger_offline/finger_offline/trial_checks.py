@@ -12,8 +12,10 @@ import numpy as np
 from finger_bag.streams import AREA, SessionStreams, in_stamp_order
 from finger_bag.validate import FAIL, NOTE, OK, CheckedBag, Validation
 from finger_common.errors import listed
+from finger_common.flags import AreaFlag
 from finger_common.stamps import nanoseconds, seconds
 
+from .held_areas import held_rows
 from .indentation_checks import IndentationFault, indentation_fault
 from .lag import (
     LONGEST_LAG,
@@ -59,6 +61,9 @@ inverse, it is noted; fingers differ by a third or so."""
 MOST_FRAMES = 0.8
 """Share of the frames, of those in presses and of the others, from which on what they show stays on
 the plate."""
+
+MOST_UNKNOWN = 0.3
+"""Share of the frames in a press that may have no area."""
 
 READINGS = 3
 """Moisture readings expected before and after each press (paper, section III)."""
@@ -179,7 +184,7 @@ def _check_values(found: TrialSet, result: Validation) -> None:
     """Forces and areas of another unit than N and m²."""
     force = max(t.peak_force for t in found)
     areas = np.concatenate([t.area for t in found])
-    area = float(np.nanmax(areas)) if np.isfinite(areas).any() else 0.0
+    area = float(areas[np.isfinite(areas)].max(initial=0.0))
     wrong = []
     if force > LARGEST_FORCE:
         wrong.append(f"force up to {force:.4g} N")
@@ -190,16 +195,40 @@ def _check_values(found: TrialSet, result: Validation) -> None:
 
 
 def _check_areas(found: TrialSet, result: Validation) -> None:
-    """Trials whose recorded areas show no contact."""
+    """Recorded areas that show no contact in a trial, are no areas, or are held from row to row."""
+    words, fails = [], False
     without = [t.index for t in found if len(t.area) and not (t.area > 0).any()]
     if without:
-        result.add(
-            "areas",
-            FAIL,
+        fails = True
+        words.append(
             f"no contact in the areas of trial {listed(without)}: was a finger on "
             "the plate when the camera learned it? Recorded images can be measured again, "
-            "finger-bag process --images yes",
+            "finger-bag process --images yes"
         )
+    unknown, held = [], 0
+    for trial in found:
+        stamps = trial.area_stamp_ns
+        press = (stamps >= trial.onset_ns) & (stamps <= _end_of(trial))
+        # Sensors may give any area where their flag says that there is no contact.
+        bad = press & ~(np.isfinite(trial.area) & (trial.area >= 0.0))
+        bad &= (trial.area_flags & AreaFlag.NO_CONTACT) == 0
+        if bad.any():
+            unknown.append(f"trial {trial.index}: {bad.sum()} of {press.sum()}")
+            fails |= bool(bad.sum() > MOST_UNKNOWN * press.sum())
+        rows = held_rows(stamps, trial.area, trial.stamp_ns, trial.force)
+        held += int((press & rows).sum())
+    if unknown:
+        words.append(
+            "areas in presses are negative or not finite, and count as none "
+            f"({listed(unknown, 3, '; ')}); correct what writes them"
+        )
+    if held:
+        words.append(
+            f"{held} areas in presses hold the one before, and count as new measurements; record "
+            "one message a frame of the camera, or import a table of them, which takes each once"
+        )
+    if words:
+        result.add("areas", FAIL if fails else NOTE, "; ".join(words))
 
 
 def _check_indentation(found: TrialSet, result: Validation) -> None:
@@ -232,10 +261,14 @@ def _check_indentation(found: TrialSet, result: Validation) -> None:
     result.add("indentation", status, "; ".join(words) or "rises with the force in all trials")
 
 
+def _end_of(trial: TrialRecord) -> int:
+    """ns; the end of a press, that of the recording where it does not end before."""
+    return int(trial.stamp_ns[-1]) if trial.liftoff_ns is None else trial.liftoff_ns
+
+
 def _indented(trial: TrialRecord) -> Press:
     """The press of a trial that has a measured indentation."""
-    end = trial.stamp_ns[-1] if trial.liftoff_ns is None else trial.liftoff_ns
-    press = (trial.stamp_ns >= trial.onset_ns) & (trial.stamp_ns <= end)
+    press = (trial.stamp_ns >= trial.onset_ns) & (trial.stamp_ns <= _end_of(trial))
     readings = trial.indentation_stamp_ns, trial.indentation
     return (trial.stamp_ns[press], trial.force[press], *readings)
 

@@ -152,6 +152,31 @@ def test_zeros_between_the_frames_are_told(files: dict[str, str], tmp_path: Path
     assert import_trial(ImportSettings(**files), tmp_path / "bag").notes == []
 
 
+def test_areas_that_a_logger_held_count_once(files: dict[str, str], tmp_path: Path) -> None:
+    """One rate for all channels: each area stands in 25 rows, until the camera gives the next."""
+    plain = import_trial(ImportSettings(**files), tmp_path / "plain")
+    held = area_at(FRAMES)[np.arange(len(TIME)) // 25]
+    csv(Path(files["area"]), "time_s,area_mm2", TIME, held)
+    imported = import_trial(ImportSettings(**files), tmp_path / "bag")
+    (note,) = imported.notes
+    assert "2160 rows hold the area of the row before" in note
+    assert (imported.area_stamps, imported.areas) == (plain.area_stamps, plain.areas)
+    check_trials(tmp_path / "bag")
+
+
+@pytest.mark.parametrize("ramp", [0.25, 0.004])
+def test_areas_that_stand_still_with_the_force_are_not_held(
+    files: dict[str, str], tmp_path: Path, ramp: float
+) -> None:
+    """Those of a model have no noise; steps of the force make runs of one length."""
+    steps, since = np.divmod(TIME, 0.5)
+    force = 0.1 * (steps + np.clip(since / ramp, 0.0, 1.0)) * ((TIME > 0.5) & (TIME < 8.0))
+    csv(Path(files["force"]), "time_s,force_n", TIME, force)
+    csv(Path(files["area"]), "time_s,area_mm2", TIME, 60.0 * force**0.4)
+    imported = import_trial(ImportSettings(**files), tmp_path / "bag")
+    assert len(imported.areas) == len(TIME) and imported.notes == []
+
+
 def test_areas_in_pixels(files: dict[str, str], tmp_path: Path) -> None:
     pixels = area_at(FRAMES) * 1e-6 / 9.86e-10
     named = {"area": csv(tmp_path / "p.csv", "time_s,Area [px]", FRAMES, pixels)}

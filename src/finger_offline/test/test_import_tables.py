@@ -126,6 +126,18 @@ def test_headings_in_the_encodings_of_other_programs(
     check_trials(tmp_path / "bag")
 
 
+@pytest.mark.parametrize("named", ["Force, mN", "force", "Fx, mN,Fy, mN,Force, mN", "Fx,Fy,Force"])
+def test_a_heading_may_hold_a_comma(files: dict[str, str], tmp_path: Path, named: str) -> None:
+    force = 1e3 * force_at(TIME)
+    sign = -1.0 if "F" in named.replace("Force", "") else 1.0
+    rows = [f"{1e3 * t:.1f};0;0;{sign * f:.4f}" for t, f in zip(TIME, force)]
+    path = tmp_path / "commas.csv"
+    path.write_text("\n".join(["Time, ms;Fx, mN;Fy, mN;Force, mN", *rows]))
+    columns = {"force": str(path), "force_column": named, "force_time": "Time, ms"}
+    import_trial(ImportSettings(**{**files, **columns}), tmp_path / "bag")
+    check_trials(tmp_path / "bag")
+
+
 @pytest.mark.parametrize("name", ["a.xlsx", "a.parquet", "a.h5", "a.mat", "a.npz"])
 def test_damaged_tables_are_refused_in_a_sentence(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(range(256)))

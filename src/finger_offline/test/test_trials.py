@@ -425,6 +425,49 @@ def test_an_untared_force_of_another_lab_is_not_fit_for_use(tmp_path: Path) -> N
         assert f"{tare:.2f} N while nothing touches the plate" in checks["tare"].detail
 
 
+@pytest.mark.parametrize("value", [np.nan, -1e-5])
+@pytest.mark.parametrize(("every", "flag", "status"), [(3, 0, "fail"), (8, 0, "note"), (3, 1, "")])
+def test_areas_that_are_none_are_told(
+    tmp_path: Path, value: float, every: int, flag: int, status: str
+) -> None:
+    """flag: 1, no contact, says why."""
+    path = tmp_path / "bag"
+    with BagWriter(path, {"condition": "dry", "subject": "S01"}) as bag:
+        for row, t in enumerate(np.arange(0, 8.0, 0.002)):
+            stamp, force = START + round(t * 1e9), float(press_force(np.array(t % 4.0)))
+            bag.write("wrench", wrench(stamp, force))
+            if row % 50 == 0:
+                bad = row // 50 % every == 0
+                fields = {"header": {"stamp": stamp}, "flags": flag * bad}
+                area = value if bad else 60e-6 * force**0.4
+                bag.write("contact_area", {**fields, "gross_area": area})
+    result = validate(path)
+    found = {c.name: c for c in result.checks}
+    assert (found["areas"].status if "areas" in found else "") == status
+    if status:
+        counts = re.findall(r"trial \d: (\d+) of (\d+)", found["areas"].detail)
+        assert len(counts) == 2
+        assert all(int(a) / int(b) == pytest.approx(1 / every, abs=0.05) for a, b in counts)
+
+
+@pytest.mark.parametrize("every", [50, 5])
+def test_areas_that_are_published_again_are_told(tmp_path: Path, every: int) -> None:
+    """every: rows of the force from message to message; the camera gives an area in 50."""
+    path = tmp_path / "bag"
+    rng = np.random.default_rng(0)
+    with BagWriter(path, {"condition": "dry", "subject": "S01"}) as bag:
+        for row, t in enumerate(np.arange(0, 8.0, 0.002)):
+            stamp, force = START + round(t * 1e9), float(press_force(np.array(t % 4.0)))
+            bag.write("wrench", wrench(stamp, force))
+            if row % 50 == 0:
+                area = 60e-6 * force**0.4 * rng.normal(1.0, 0.02)
+            if row % every == 0:
+                bag.write("contact_area", {"header": {"stamp": stamp}, "gross_area": area})
+    areas = [c for c in validate(path).checks if c.name == "areas"]
+    assert [c.status for c in areas] == (["note"] if every < 50 else [])
+    assert every == 50 or "hold the one before" in areas[0].detail
+
+
 MOVES: dict[str, tuple[Callable[[float], float], str, str]] = {
     "jump down between presses": (
         lambda t: -0.5 * (t >= 8.0),

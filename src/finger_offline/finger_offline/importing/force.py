@@ -50,13 +50,15 @@ def read_force(
 
     Raises InputError for a table without them.
     """
-    headings = [
-        table.heading(name.strip(), "--force-column") for name in settings.force_column.split(",")
-    ]
+    named = settings.force_column
+    # A heading may hold a comma itself: "Force, N", or three of them "Fx, N,Fy, N,Fz, N".
+    parts = [named] if table.alike(named) else named.split(",")
+    size = max(len(parts) // 3, 1)
+    names = [",".join(parts[i : i + size]).strip() for i in range(0, len(parts), size)]
+    headings = [table.heading(name, "--force-column") for name in names]
     if len(headings) not in (1, 3):
         raise InputError(
-            f"--force-column {settings.force_column}: name the normal force, or x, y and z as "
-            "Fx,Fy,Fz"
+            f"--force-column {named}: name the normal force, or x, y and z as Fx,Fy,Fz"
         )
     heading, times = times_of(FORCE, settings, table, headings[0])
     factor = factor_of(FORCE, settings, table, headings[-1])

@@ -99,10 +99,7 @@ class Table:
 
         Raises InputError that names the option to choose another.
         """
-        if name in self.columns:
-            return name
-        wanted = name.strip().casefold()
-        alike = [h for h in self.columns if wanted in (_bare(h), _unnumbered(h).casefold())]
+        alike = self.alike(name)
         if len(alike) == 1:
             return alike[0]
         if alike:
@@ -114,6 +111,13 @@ class Table:
             f"{self.where}: column '{name}' does not exist ({known_names(name, self.columns)}); "
             f"name it with {option}{self.others}"
         )
+
+    def alike(self, name: str) -> list[str]:
+        """The headings that a name may mean; one where it is equal."""
+        if name in self.columns:
+            return [name]
+        wanted = name.strip().casefold()
+        return [h for h in self.columns if wanted in (_bare(h), _unnumbered(h).casefold())]
 
     def unit(self, heading: str, units: Mapping[str, float]) -> str | None:
         """The unit that a column states: in the row of units, as "Force [N]" or as "force_n"."""
@@ -277,23 +281,20 @@ def _unnumbered(heading: str) -> str:
 
 
 def _endings(heading: str) -> list[str]:
-    """Texts in a heading that may be its unit: "N" of "Fz [N]", "Fz (N)", "fz_N"."""
+    """Texts in a heading that may be its unit: "N" of "Fz [N]", "Fz (N)", "Fz, N", "fz_N"."""
     text = heading.strip().replace("（", "(").replace("）", ")")
     found = []
     for opening, closing in ("[]", "()"):
         if text.endswith(closing) and opening in text:
             found.append(text[text.rindex(opening) + 1 : -1])
-    if "/" in text:  # Fz/N
-        found.append(text.rsplit("/", 1)[1])
-    if "_" in text:
-        found.append(text.rsplit("_", 1)[1])
+    found += [text.rsplit(sign, 1)[1] for sign in "/,_" if sign in text]  # Fz/N
     return found
 
 
 def _bare(heading: str) -> str:
-    """A heading in lower case without a unit in brackets or behind a slash."""
+    """A heading in lower case without a unit in brackets, behind a slash or a comma."""
     text = _unnumbered(heading).strip().casefold().replace("（", "(")
-    for sign in "[(/":
+    for sign in "[(/,":
         text = text.split(sign, 1)[0] if not text.startswith(sign) else text
     return text.strip()
 

@@ -28,6 +28,7 @@ from finger_common.trial_phases import TrialPhase
 from finger_vision.area_sensor import AREA_SENSORS, measured
 from finger_vision.calibration import PlateCalibration
 
+from ..held_areas import held_rows
 from ..image_areas import Repeats, area_fields
 from ..image_settings import told_settings
 from ..indentation_checks import indentation_fault
@@ -182,10 +183,18 @@ class _Recording:
 
     @functools.cached_property
     def _table_areas(self) -> tuple[np.ndarray, np.ndarray]:
-        """Stamps (k,) in ns and areas (k,) in m² of the table, none where images are measured."""
+        """Stamps (k,) in ns and areas (k,) in m² of the table, each once where a logger held them;
+        none where images are measured."""
         if not self.settings.area:
             return np.empty(0, np.int64), np.empty(0)
-        return self._series(AREA)
+        stamps, areas = self._series(AREA)
+        held = held_rows(stamps, areas, self._force.stamp_ns, self._force.normal)
+        if held.any():
+            self.result.notes.append(
+                f"{self.settings.area}: {int(held.sum())} rows hold the area of the row before, "
+                "as loggers write it until the next frame; left out, the first of each counts"
+            )
+        return stamps[~held], areas[~held]
 
     # Streams ---------------------------------------------------------------------------------
 
