@@ -40,7 +40,7 @@ def test_definition_text_stands_alone(message_type: str) -> None:
     assert repr(again(raw)) == repr(decoder(message_type)(raw))
 
 
-@pytest.mark.parametrize("message_type", ["geometry_msgs/msg/WrenchStamped", "finger_msgs/msg/Trial"])
+@pytest.mark.parametrize("message_type", [TOPICS["wrench"].type, "finger_msgs/msg/Trial"])
 @pytest.mark.parametrize(
     "changed",
     [

@@ -36,9 +36,23 @@ GUESSED_MINIMUM = 1.0e-6
 COARSEST = 2.3
 """Working pixels a ridge period below which ridges run into one another."""
 
+IN_NOISE = 5.0
+"""Contrast of the ridges over a pixel's noise below which the faint rim is lost in it."""
+
 PALE, PALE_AREA = 2 / 3, 5e-6
 """Share of `minimum_contrast` at which a frame without contact is looked at again where no
 background was learned, and size (m²) of a region that is then taken for a print too pale."""
+
+CUT_OFF = 5.0, 250.0
+"""Greys down to and from which a plate of one grey was certainly cut off."""
+
+GREYS = 0.6
+"""Between these it counts as cut off where the ridges show more than this share of the greys beyond
+it: 0.60 or more in real prints that were darkened later, up to 0.75 in rendered frames, under 0.35
+in drawn ones."""
+
+ONE_GREY = 0.2
+"""Standard deviation of the saturated share of the plate above which the area is in doubt."""
 
 SHARP_RIM, BLUR = 20e-6, 1.4
 """Width (m) from half of the contrast out to the outermost trace in a sharp picture; and what a
@@ -218,8 +232,8 @@ class FtirSegmenter(AreaSensor):
             flags |= AreaFlag.UNCALIBRATED
         outlined = None
         if ridges is not None:
-            saturated = _saturated_share(frame, ridges, background.bright_ridges)
-            outlined = self._outline(ridges, grid, saturated)
+            saturated, in_doubt = _saturated_share(frame, ridges, background.bright_ridges)
+            outlined = self._outline(ridges, grid, saturated, in_doubt)
         smallest = max(settings.minimum_area, 0.0 if background.learned else GUESSED_MINIMUM)
         if ridges is None or outlined is None or outlined[0].area < smallest:
             flags |= AreaFlag.NO_CONTACT
@@ -233,9 +247,11 @@ class FtirSegmenter(AreaSensor):
             flags |= AreaFlag.CLIPPED
         if real_area < 0.2 * shape.area or shape.area < 5e-6:
             flags |= AreaFlag.SPARSE
-        if ridges.contrast < 1.7 * settings.minimum_contrast * 255 or grid.period < COARSEST:
+        lost = background.learned and ridges.contrast < IN_NOISE * noise
+        pale = ridges.contrast < 1.7 * settings.minimum_contrast * 255
+        if lost or pale or grid.period < COARSEST:
             flags |= AreaFlag.LOW_CONTRAST
-        if _is_saturated(frame, ridges):
+        if in_doubt > ONE_GREY or _is_saturated(frame, ridges):
             flags |= AreaFlag.SATURATED
         area_sd, rim = self._standard_deviation(shape, doubt), self._rim_deviation(shape)
         centroid_sd, major_sd, minor_sd, angle_sd = ellipse_deviations(shape, area_sd, rim)
@@ -257,12 +273,12 @@ class FtirSegmenter(AreaSensor):
         return measurement, background.bright_ridges
 
     def _outline(
-        self, ridges: Ridges, grid: WorkingGrid, saturated: float
+        self, ridges: Ridges, grid: WorkingGrid, saturated: float, in_doubt: float
     ) -> tuple[Shape, float, np.ndarray, float] | None:
         """Shape, real area (m²), outline (n, 2) m and the standard deviation of the area (m²) that
         saturation, blur and doubtful parts add.
 
-        saturated: share of the plate around the contact. None where nothing is left.
+        saturated, in_doubt: as of `_saturated_share`. None where nothing is left.
         """
         hull = convex_corners(ridges.outermost)
         convex = self.settings.outline == "convex"
@@ -279,8 +295,7 @@ class FtirSegmenter(AreaSensor):
         touching_share = min(1.0, real_area / shape.area)
         furrow = settings.ridge_period * (1 - touching_share) ** 2
         extra = settings.furrow_margin_saturated - settings.furrow_margin
-        hidden = saturated * extra * furrow
-        margin = max(settings.furrow_margin * furrow + hidden, 0.0)
+        margin = max((settings.furrow_margin + saturated * extra) * furrow, 0.0)
         outline = widened(outline, margin) if convex else shifted(outline, margin)
         shape = Shape(outline)
         traced = _pixels_in(hull)
@@ -292,7 +307,8 @@ class FtirSegmenter(AreaSensor):
             most = convex_corners(cv2.bitwise_or(ridges.outermost, ridges.doubtful))
             least = convex_corners(cv2.subtract(ridges.outermost, ridges.doubtful))
             apart = (_pixels_in(most) - _pixels_in(least)) * grid.pitch**2
-        doubt = math.hypot(0.5 * hidden * shape.perimeter, blurred * shape.perimeter, apart)
+        hidden = in_doubt * extra * furrow
+        doubt = math.hypot(hidden * shape.perimeter, blurred * shape.perimeter, apart)
         return shape, real_area, outline, doubt
 
     def _is_pale(self, contrast: np.ndarray, noise: float, grid: WorkingGrid) -> bool:
@@ -362,22 +378,27 @@ def _reaches(ridges: Ridges, border: np.ndarray | None, grid: WorkingGrid) -> bo
     return bool(cv2.bitwise_and(near, border[ridges.box]).any())
 
 
-def _saturated_share(frame: np.ndarray, ridges: Ridges, bright_ridges: bool) -> float:
-    """Share of the plate around the contact that is at the plate's end of the greys.
+def _saturated_share(frame: np.ndarray, ridges: Ridges, bright_ridges: bool) -> tuple[float, float]:
+    """Share of the plate around the contact that is saturated, and standard deviation of it.
 
-    Noise and vignetting leave next to no pixel there; saturation leaves most of them, also after a
-    later change of gain or gamma.
+    Noise and vignetting leave next to no pixel at the plate's end of the greys; saturation leaves
+    most of them there, also after a later change of gain or gamma. A drawn plate, or one whose
+    noise was removed, is of one grey as well.
     """
     around = cv2.bitwise_not(ridges.region)
     pixels = cv2.countNonZero(around)
     if pixels == 0:
-        return 0.0
+        return 0.0, 0.0
     part = frame[ridges.box]
     # Hot pixels and reflections may be brighter than the plate.
     below = np.cumsum(cv2.calcHist([part], [0], around, [256], [0, 256]))
     end = float(np.searchsorted(below, (0.005 if bright_ridges else 0.995) * pixels))
     at_end = cv2.bitwise_and(cv2.compare(part, np.array([end]), cv2.CMP_EQ), around)
-    return cv2.countNonZero(at_end) / pixels
+    share = cv2.countNonZero(at_end) / pixels
+    if not CUT_OFF[0] < end < CUT_OFF[1]:
+        return share, 0.5 * share
+    greys = cv2.countNonZero(cv2.calcHist([part], [0], ridges.touching, [256], [0, 256]))
+    return (share if greys > GREYS * abs(end - 255 * bright_ridges) else 0.0), share
 
 
 def _is_saturated(frame: np.ndarray, ridges: Ridges) -> bool:

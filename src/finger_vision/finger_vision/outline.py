@@ -29,16 +29,33 @@ def convex_corners(mask: np.ndarray) -> np.ndarray:
 
 
 def closed_outline(mask: np.ndarray, gap: int) -> np.ndarray:
-    """(n, 2) outer contour of a mask whose gaps up to `gap` pixels are closed; (0, 2) for none."""
+    """(n, 2) outer contour of a mask whose gaps up to `gap` pixels are closed; (0, 2) for none.
+
+    Parts further apart are joined by a line, so that the contour bounds all of them.
+    """
     size = gap | 1
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
     padded = cv2.copyMakeBorder(mask, size, size, size, size, cv2.BORDER_CONSTANT, value=0)
     closed = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, kernel)
-    contours, _ = cv2.findContours(closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    if not contours:
+    parts = sorted(_contours(closed), key=len, reverse=True)
+    if not parts:
         return np.zeros((0, 2))
-    contour = max(contours, key=cv2.contourArea).reshape(-1, 2).astype(float) - size
+    joined = parts[0]
+    for part in parts[1:]:
+        # Every fourth point is near enough to the nearest one.
+        ends, starts = joined[::4], part[::4]
+        apart = np.sum((ends[:, None] - starts) ** 2, axis=2)
+        end, start = np.unravel_index(np.argmin(apart), apart.shape)
+        cv2.line(closed, ends[end].tolist(), starts[start].tolist(), 255)
+        joined = np.concatenate([joined, part])
+    contour = _contours(closed)[0].astype(float) - size
     return shifted(contour, 0.5) if len(contour) > 8 else np.zeros((0, 2))
+
+
+def _contours(mask: np.ndarray) -> list[np.ndarray]:
+    """Outer contours (n, 2) of the parts of a mask."""
+    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    return [contour.reshape(-1, 2) for contour in contours]
 
 
 def widened(hull: np.ndarray, by: float) -> np.ndarray:

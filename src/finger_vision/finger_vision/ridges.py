@@ -27,6 +27,15 @@ an earlier press, hence the higher figure."""
 FAINT_CONTRAST = 0.05
 """… and down to this contrast, fraction of the grey range."""
 
+NOISE_FLOOR = 2.0
+"""Certain skin has this many standard deviations of a pixel's noise, twice as many of the mean of
+four pixels."""
+
+SMOOTHED, SMOOTHED_NOISE = 0.7, 1.6
+"""Working pixels (standard deviation of a Gaussian) by which contrast is smoothed where specks of
+noise would count as faint skin; and how far above zero specks then reach, in standard deviations of
+a pixel's noise before."""
+
 RIDGE_LEVEL, RIM_LEVEL = 0.5, 0.35
 """A ridge ends for the real area where the contrast has fallen to half of its local height; the
 outline of the gross contact goes through the outermost trace, somewhat further out."""
@@ -94,6 +103,9 @@ def find_ridges(
     columns, rows = contrast.shape[1] // 2, contrast.shape[0] // 2
     half = cv2.resize(contrast, (columns, rows), interpolation=cv2.INTER_AREA)
     floor = minimum_contrast * 255 * (1.0 if learned else GUESSED_CAUTION)
+    if learned:
+        # A frame full of ridges has no tile that tells the noise.
+        floor = max(floor, NOISE_FLOOR * noise)
     typical = _typical_contrast(half, floor)
     if typical == 0:
         return None
@@ -104,8 +116,12 @@ def find_ridges(
         return None
     # A plate so even that it has no noise is clipped to white: no earlier print could show on it.
     share = FAINT_SHARE if learned or noise < 0.5 else FAINT_SHARE_GUESSED
-    faint = max(FAINT_CONTRAST * 255, share * typical, min(5 * noise, 0.6 * strong))
-    touching, outermost = _threshold(contrast[box], faint, grid)
+    part, above_noise = contrast[box], 5 * noise
+    if above_noise > 0.6 * strong:
+        part = cv2.GaussianBlur(part, (0, 0), SMOOTHED)
+        above_noise = SMOOTHED_NOISE * noise
+    faint = max(FAINT_CONTRAST * 255, share * typical, above_noise)
+    touching, outermost = _threshold(part, faint, grid)
     region, other_regions, near = _region(core[_quarter(box)], touching, grid)
     if region is None:
         return None

@@ -44,9 +44,10 @@ from .ridge_motion import DEFAULT_RIDGE_PERIOD, RidgeMotion, RidgeMotionSettings
 SILENCE = 2.0
 """s without an image, while somebody publishes them, after which it is said."""
 
-STILL, STILL_SDS = 5 * NANOSECONDS, 3.0
-"""ns after which it is said that a contact of low contrast does not change; and its standard
-deviations that count as a change."""
+STILL, STILL_SDS, STILL_SHARE = 5 * NANOSECONDS, 3.0, 0.03
+"""ns after which it is said that a contact does not change. One of low contrast has changed by so
+many standard deviations of its area; any other, while no background was learned, by this share of
+its real area: noise of 8 greys changes that of marks by 0 to 2.9 %."""
 
 DARK_IMAGES = 100
 """16-bit images in the lower bits, and none in the upper ones, after which it is said."""
@@ -105,8 +106,12 @@ class VisionNode(ManagedNode):
         self._motion = (
             RidgeMotion(following, self.calibration, period) if following.ridge_motion else None
         )
-        self._still: tuple[int, float] | None = None
-        """Stamp (ns) and area (m²) since when a contact of low contrast has not changed."""
+        self._still: tuple[int, ContactMeasurement] | None = None
+        """Stamp (ns) of the contact that has not changed since then, and itself."""
+        self._stands = False
+        """Whether a contact has not changed for long, and no background was learned."""
+        self._take_plate = False
+        """Whether the next image shows the plate, whatever contact is seen in it."""
         self._dark: int | None = 0
         """Number of images in the lower bits; None once one has used the upper ones."""
         self.health = Health("vision")
@@ -191,6 +196,9 @@ class VisionNode(ManagedNode):
         image = image_of(message)
         self._check_bits(image)
         with self._lock:
+            if self._take_plate:
+                self.sensor.learn(image)
+                self._take_plate = False
             measurement = with_motion(
                 measured(self.sensor, image, self._learn), image, self._motion
             )
@@ -223,25 +231,33 @@ class VisionNode(ManagedNode):
             self._overlays.publish(overlay)
 
     def _doubt(self, measurement: ContactMeasurement, stamp: int) -> str:
-        """What to say of a pale print in an image of `stamp` (ns); empty where there is none."""
+        """What to say of a pale print, or of marks that count as a contact, in an image of `stamp`
+        (ns); empty where there is nothing."""
         still, self._still = self._still, None
+        self._stands = False
         if measurement.flags & PALE_PRINT == PALE_PRINT:
             return (
                 "a print is too pale to be measured, or an earlier one lies on the plate; check "
                 "light and focus, or clean the plate"
             )
-        if measurement.flags & PALE_PRINT != AreaFlag.LOW_CONTRAST:
+        if measurement.flags & AreaFlag.NO_CONTACT:
             return ""
-        area = measurement.gross_area
-        if still is None or abs(area - still[1]) > STILL_SDS * measurement.area_sd:
-            still = stamp, area
+        if still is None or not _unchanged(measurement, still[1]):
+            still = stamp, measurement
         self._still = still
         if stamp - still[0] <= STILL:
             return ""
+        seconds = (stamp - still[0]) / NANOSECONDS
+        self._stands = bool(measurement.flags & AreaFlag.NO_BACKGROUND)
+        if self._stands:
+            return (
+                f"a contact has not changed for {seconds:.0f} s, and no empty plate was seen; "
+                "marks on the plate or its mount may count as one: clean the plate, then, with no "
+                "finger on it, call ~/reset, which takes marks that stay as part of the plate"
+            )
         return (
-            f"a contact of low contrast has not changed for {(stamp - still[0]) / NANOSECONDS:.0f} "
-            "s; where no finger presses, sweat or dirt counts as one: clean the plate, then call "
-            "~/reset"
+            f"a contact of low contrast has not changed for {seconds:.0f} s; where no finger "
+            "presses, sweat or dirt counts as one: clean the plate, then call ~/reset"
         )
 
     def _check_bits(self, image: np.ndarray) -> None:
@@ -315,9 +331,24 @@ class VisionNode(ManagedNode):
             self.sensor.reset()
             if self._motion is not None:
                 self._motion.reset()
+            self._take_plate = self._stands
+            self._still, self._stands = None, False
         response.success = True
-        response.message = "background forgotten; it is learned again from frames without contact"
+        response.message = "background forgotten; it is learned again from " + (
+            "the next image, with the contact that had not changed"
+            if self._take_plate
+            else "frames without contact"
+        )
         return response
+
+
+def _unchanged(now: ContactMeasurement, before: ContactMeasurement) -> bool:
+    """Whether a contact that may be sweat, or marks on the plate, is the same as before."""
+    pale, unknown = (now.flags & f for f in (AreaFlag.LOW_CONTRAST, AreaFlag.NO_BACKGROUND))
+    if pale and abs(now.gross_area - before.gross_area) <= STILL_SDS * now.area_sd:
+        return True
+    marks = abs(now.real_area - before.real_area) <= STILL_SHARE * before.real_area
+    return bool(unknown and marks)
 
 
 main = main_of(VisionNode)

@@ -169,6 +169,26 @@ def test_concave_outline_agrees_on_full_contacts_and_leaves_gaps_out() -> None:
     assert concave.gross_area < 0.9 * convex.gross_area
 
 
+@pytest.mark.parametrize("gap", [0.7e-3, 0.9e-3, 1.2e-3])
+def test_concave_outline_drops_no_part_of_a_contact_with_a_crease(gap: float) -> None:
+    """The parts beside a crease belong to one contact as long as they are one region."""
+    renderer = FtirRenderer("natural", 1, Scene(latent=0.0))
+    frame = renderer.render_frame([Contact(4.5e-3, aspect=1.2)])
+    cut, pitch = frame.image.copy(), math.sqrt(AREA_PER_PIXEL)
+    half = round(gap / pitch / 2)
+    crease = slice(512 - half, 512 + half)
+    cut[crease] = renderer.empty()[crease]
+    whole, halves = (
+        FtirSegmenter(FtirSettings(outline="concave")).process(i) for i in (frame.image, cut)
+    )
+    assert not halves.flags & AreaFlag.MULTIPLE_REGIONS
+    across = np.ptp(whole.hull[:, 0])
+    left = whole.gross_area - gap * across
+    assert left * 0.95 < halves.gross_area < whole.gross_area * 1.02
+    assert halves.real_area == pytest.approx(whole.real_area * left / whole.gross_area, rel=0.06)
+    assert np.ptp(halves.hull, axis=0) == pytest.approx(np.ptp(whole.hull, axis=0), rel=0.05)
+
+
 def test_latent_prints_do_not_count_once_the_background_is_learned() -> None:
     renderer = FtirRenderer("dry", 5, Scene(latent=0.12))
     clean = FtirRenderer("dry", 5, Scene(latent=0.0))
@@ -303,6 +323,54 @@ def test_a_hair_across_the_rim_does_not_widen_the_contact(skin: str) -> None:
             seen = segmenter.measure(image)
             error = abs(seen.gross_area - frame.gross_area)
             assert error < (0.2 * frame.gross_area if thickness == 3 else 3 * seen.area_sd)
+
+
+@pytest.mark.parametrize("noise", [8.0, 30.0])
+def test_noise_of_the_camera_joins_no_specks_to_the_contact(noise: float) -> None:
+    """Pixels of 63 µm, that are not averaged: where noise hides the rim, the area is doubted."""
+    rng = np.random.default_rng(0)
+
+    def noisy(image: np.ndarray) -> np.ndarray:
+        half = cv2.resize(image.astype(float), (640, 512), interpolation=cv2.INTER_AREA)
+        noised = np.rint(half + noise * rng.standard_normal(half.shape))
+        return noised.clip(0, 255).astype(np.uint8)
+
+    for index, skin in enumerate(SKINS):
+        renderer = FtirRenderer(skin, index, Scene(noise=0, latent=0.0))
+        frame = renderer.render_frame([Contact(4e-3, aspect=1.4)])
+        calibration = PlateCalibration.from_area_per_pixel(4 * AREA_PER_PIXEL)
+        learned, guessed = (FtirSegmenter(calibration=calibration) for _ in range(2))
+        for _ in range(3):
+            learned.learn(noisy(renderer.empty()))
+        assert learned.measure(noisy(renderer.empty())).gross_area == 0.0
+        image = noisy(frame.image)
+        seen = learned.measure(image)
+        assert seen.gross_area < 1.05 * frame.gross_area
+        assert bool(seen.flags & AreaFlag.LOW_CONTRAST) == (noise == 30.0)
+        if noise == 8.0:
+            assert seen.gross_area > 0.95 * frame.gross_area
+            guess = guessed.measure(image).gross_area
+            assert guess == pytest.approx(frame.gross_area, rel=0.05)
+
+
+@pytest.mark.parametrize("grey", [190, 120])
+def test_a_plate_of_one_grey_that_was_not_cut_off_widens_no_area(grey: int) -> None:
+    """Drawn frames and those whose noise was removed: the deviation has what a cut-off plate would
+    add, and a plate that is cut off keeps its margin."""
+    plain = Scene(background=grey, noise=0, texture=0, dust=0, latent=0, vignetting=0, gradient=0)
+    for skin in ("dry", "moist"):
+        renderer = FtirRenderer(skin, 0, plain)
+        frame = renderer.render_frame([Contact(4e-3, aspect=1.3)])
+        segmenter = FtirSegmenter(calibration=renderer.calibration())
+        segmenter.learn(renderer.empty())
+        seen = segmenter.measure(frame.image)
+        assert seen.gross_area == pytest.approx(frame.gross_area, rel=0.03)
+        assert seen.flags == AreaFlag.SATURATED
+        cut_off = FtirSegmenter(calibration=renderer.calibration())
+        cut_off.learn(cv2.convertScaleAbs(renderer.empty(), alpha=255 / grey))
+        white = cut_off.measure(cv2.convertScaleAbs(frame.image, alpha=255 / grey))
+        assert white.flags & AreaFlag.SATURATED
+        assert seen.gross_area < white.gross_area < seen.gross_area + 2 * seen.area_sd
 
 
 @pytest.mark.parametrize("skin", ["natural", "moist"])

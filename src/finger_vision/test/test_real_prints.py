@@ -187,6 +187,16 @@ def test_crops_rotations_gain_and_gamma_move_the_area_by_less_than_3_percent(pri
     assert {k: v for k, v in moved.items() if abs(v) > 0.03} == {}
 
 
+def test_a_plate_cut_off_at_white_and_darkened_later_is_doubted(prints) -> None:
+    """The grey no longer tells that it was cut off; the margin stays, with a wider deviation."""
+    for row in prints:
+        if not row["edge"]:
+            seen = segmenter_for(row["dpi"]).measure((row["image"] * 0.7).astype(np.uint8))
+            assert seen.flags & AreaFlag.SATURATED
+            assert seen.gross_area == pytest.approx(row["measured"].gross_area, rel=0.01)
+            assert seen.area_sd > row["measured"].area_sd
+
+
 def test_hot_pixels_do_not_move_the_area(prints) -> None:
     """Pixels brighter than a plate that is cut off at one grey."""
     for row in prints:

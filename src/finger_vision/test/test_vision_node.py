@@ -17,10 +17,12 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
+import cv2
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from sensor_msgs.msg import Image
+from std_srvs.srv import Trigger
 
 from finger_msgs.msg import ContactArea
 from finger_sim.ftir import FtirRenderer, Scene
@@ -104,6 +106,64 @@ def test_a_pale_contact_that_does_not_change_is_said_to_be_sweat(peer) -> None:
     assert peer.wait(said)
     peer.ask(peer.image(renderer.render(4.5e-3), 9))
     assert peer.wait(lambda: not said())
+
+
+def said_here(node: Any, picture: np.ndarray, second: int, words: str) -> bool:
+    """Whether a node in this process warns with these words after a picture (H, W) uint8."""
+    height, width = picture.shape
+    image = Image(height=height, width=width, encoding="mono8", step=width, data=picture.tobytes())
+    image.header.stamp.sec = second
+    node._measure(image)
+    return words in node.health.faults.get("contrast", "")
+
+
+@pytest.mark.parametrize("mark", ["round mask", "line"])
+def test_marks_on_the_plate_are_said_and_a_reset_takes_them_as_the_plate(
+    ros_domain: int, mark: str
+) -> None:
+    renderer = FtirRenderer("natural", seed=3, scene=Scene(noise=3.0))
+    marks = np.zeros((1024, 1280), np.uint8)
+    if mark == "line":
+        cv2.line(marks, (640, 60), (790, 960), 255, 2, cv2.LINE_AA)
+    else:
+        marks = 255 - cv2.circle(marks, (640, 512), 500, 255, -1)
+
+    with node_here(ros_domain) as node:
+        assert node.bring_up()
+        areas: list[ContactArea] = []
+        node._areas = SimpleNamespace(publish=areas.append)
+
+        def said(picture: np.ndarray, second: int) -> bool:
+            shown = np.where(marks > 127, np.uint8(20), picture)
+            return said_here(node, shown, second, "marks on the plate")
+
+        def reset() -> str:
+            return str(node._on_reset(Trigger.Request(), Trigger.Response()).message)
+
+        assert [said(renderer.empty(), s) for s in (0, 3, 5, 6)] == [False, False, False, True]
+        assert areas[-1].gross_area > 5e-6
+        assert "from the next image" in reset()
+        assert not said(renderer.empty(), 7)
+        assert areas[-1].gross_area == 0.0
+        assert not areas[-1].flags & ContactArea.FLAG_NO_BACKGROUND
+        assert not said(renderer.render(4e-3), 8)
+        assert areas[-1].gross_area == pytest.approx(np.pi * 4e-3**2, rel=0.05)
+        assert "from frames without contact" in reset()
+
+
+def test_a_finger_that_is_on_the_plate_from_the_start_is_not_taken_for_marks(
+    ros_domain: int,
+) -> None:
+    """A fingerpad spreads on under a constant force, here by 0.8 % per second."""
+    renderer = FtirRenderer("natural", seed=3, scene=Scene())
+    with node_here(ros_domain) as node:
+        assert node.bring_up()
+        for second in range(0, 20, 2):
+            finger = renderer.render(4e-3 * 1.004**second)
+            assert not said_here(node, finger, second, "not changed")
+        node._on_reset(Trigger.Request(), Trigger.Response())
+        said_here(node, renderer.render(4e-3), 20, "")
+        assert node.sensor.learned == 0
 
 
 def test_images_in_the_lower_bits_are_said_where_a_dark_plate_is_allowed(
