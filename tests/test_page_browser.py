@@ -68,6 +68,12 @@ def prepare(rig: StandIn, page: Any, **fields: Any) -> None:
     until(lambda: "Trial 3 of 6" in page.inner_text("#cue-trial"), page)
 
 
+def linked(page: Any) -> None:
+    """Wait until the page has its link, from which a search of it may have kept it: without one
+    keys do nothing."""
+    page.wait_for_selector("#banner", state="hidden")
+
+
 def until(condition: Callable[[], Any], page: Any, seconds: float = 60.0) -> Any:
     end = time.monotonic() + seconds
     while time.monotonic() < end:
@@ -295,8 +301,7 @@ def test_axe_finds_nothing_in_the_rarer_looks(
 def test_axe_finds_nothing(rig: StandIn, page: Any, browser: Any, scheme: str) -> None:
     page.emulate_media(color_scheme=scheme, reduced_motion="reduce")
     assert violations(page) == []
-    # The search may have kept the page from its link.
-    page.wait_for_selector("#banner", state="hidden")
+    linked(page)
     page.keyboard.press("Space")
     page.wait_for_selector("#session-dialog[open]")
     until(lambda: "used before" in page.inner_text("#subject-used"), page)
@@ -304,6 +309,7 @@ def test_axe_finds_nothing(rig: StandIn, page: Any, browser: Any, scheme: str) -
     page.click("#plan-cancel")
     prepare(rig, page, warnings=["The disk has room for only 3 more trials."])
     for key, dialog in (("s", "ask"), ("n", "text"), ("?", "keys")):
+        linked(page)
         page.keyboard.press(key)
         page.wait_for_selector(f"#{dialog}-dialog[open]")
         assert violations(page) == [], key
