@@ -20,16 +20,17 @@ from finger_model.anthropometry import estimate_geometry
 from finger_model.compiled import njit
 from finger_model.estimator import ContactEstimator, EstimatorSettings
 from finger_model.fem.full_order import FullOrderModel
+from finger_model.fem.mesh import similar_mesh
 from finger_model.finger import simulate_reduced
 from finger_model.geometry import Geometry
 from finger_model.laws import StandardLinearSolid
 from finger_model.laws.generalized_maxwell import LAWS_BY_BRANCHES
 from finger_model.parameter_sets import ParameterSet, ParameterSets
-from finger_model.reduced import ReducedModel
+from finger_model.reduced import ReducedModel, population_runs
 from finger_model.reduced.kernels import _drive, _drive_jacobian, record_types
 from finger_model.reduced.model import load_population
 from finger_model.reduced.population_build import PopulationSettings, build, held_out_runs
-from finger_model.reduced.population_runs import run, training_case
+from finger_model.reduced.population_runs import held_out_case, run, training_case
 from finger_model.reduced.population_training import measured_error
 
 SLIM = Geometry(
@@ -372,6 +373,23 @@ def test_sudden_and_slow_presses_are_elastic_as_in_the_full_order(
     found = load_population(geometry).for_material(material).simulate(material, time, force)
     np.testing.assert_allclose(found.area[1:], truth.area[1:], rtol=0.02)
     np.testing.assert_allclose(found.indentation[1:], truth.indentation[1:], rtol=0.02)
+
+
+def test_presses_that_are_learned_from_do_not_depend_on_their_steps_under_friction(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    case = held_out_case(1, 3)
+    assert case.material.friction > 0.5
+    model = FullOrderModel(case.geometry, mesh=similar_mesh(case.geometry))
+
+    def areas_of(steps: float) -> np.ndarray:
+        monkeypatch.setattr(population_runs, "STEPS_BY_FRICTION", steps)
+        return population_runs.elastic_press(model, case, False, 1.5)[2:7, 0]
+
+    divided = areas_of(population_runs.STEPS_BY_FRICTION)
+    single, finer = areas_of(0.0), areas_of(30.0)
+    assert np.abs(single - finer).max() > 0.008
+    assert np.abs(divided - finer).max() < 0.004
 
 
 def test_fingers_do_not_depend_on_those_computed_beside_them() -> None:
