@@ -11,6 +11,7 @@ import numpy as np
 
 from finger_model.commands.verify_reduced import SEED
 from finger_model.estimator import ContactEstimator
+from finger_model.finger import load_online
 from finger_model.geometry import Geometry
 from finger_model.laws.standard_linear_solid import PARAMETERS
 from finger_model.paper import TARGET_FORCE
@@ -50,7 +51,7 @@ def step_times(number: int = 20000) -> np.ndarray:
 
 def sample_times(number: int = 20000) -> np.ndarray:
     """Times (number,) in s of `ContactEstimator.add_wrench`."""
-    estimator = ContactEstimator(ReducedModel.load())
+    estimator = ContactEstimator(load_online())
     force = 0.7 + 0.6 * np.sin(np.arange(number) * 0.01)
     times = np.empty(number)
     gc.collect()
@@ -66,7 +67,7 @@ def sample_times(number: int = 20000) -> np.ndarray:
 def slip_sample_times(number: int = 20000) -> np.ndarray:
     """Times (number,) in s of a sample through `ContactEstimator` and `SlipEstimator`, half of them
     in a load that is held, where it is looked for slip."""
-    estimator, slip = ContactEstimator(ReducedModel.load()), SlipEstimator()
+    estimator, slip = ContactEstimator(load_online()), SlipEstimator()
     phase = np.arange(number) * 0.01
     normal = 0.7 + 0.6 * np.sin(phase)
     lateral = np.minimum(0.2 + 0.15 * np.sin(0.7 * phase), 0.2)

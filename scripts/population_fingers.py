@@ -33,6 +33,7 @@ from finger_common.flags import StateFlag
 from finger_model.estimator import ContactEstimator, members
 from finger_model.estimator.neighbourhood import Neighbourhood
 from finger_model.fem.full_order import FullOrderModel
+from finger_model.finger import load_online
 from finger_model.finger_prior import FingerPrior
 from finger_model.parameter_sets import ParameterSets
 from finger_model.people import People, Person
@@ -137,7 +138,7 @@ def run_session(session: Session, cameras: range) -> Iterator[dict[str, np.ndarr
     camera's newest usable area, NaN before the first), flags.
     """
     rng = np.random.default_rng(session.seed)
-    estimator = ContactEstimator(ReducedModel.load())
+    estimator = ContactEstimator(load_online())
     if np.isfinite(session.reading):
         estimator.add_moisture(START - 10**9, session.reading)
     delay = estimator.settings.fusion_delay

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from finger_model.estimator import ContactEstimator
+from finger_model.finger import load_online
 from finger_model.parameter_sets import ParameterSets
 from finger_model.people import People
-from finger_model.reduced import ReducedModel
 from finger_model.reduced.population import check_geometry
 
 FIGURES = {
@@ -99,7 +99,7 @@ def test_the_peak_pressure_is_as_uncertain_as_fingers_differ_in_it(script: Any) 
     found = [script.states_of(script.session_of(3, i), covariance, mean)[2] for i in range(4)]
     off = np.array([script.rms(peak - prior.peak_mean) for peak in found])
     assert 0.4 * prior.peak_sd < script.rms(off) < 2.0 * prior.peak_sd
-    estimator = ContactEstimator(ReducedModel.load())
+    estimator = ContactEstimator(load_online())
     estimate = [estimator.add_wrench(k * 10**7, (0.0, 0.0, -0.01 * k))[0] for k in range(100)][-1]
     own = estimate.peak_pressure_stddev / estimate.peak_pressure
     assert own**2 > prior.peak_sd**2 + (estimate.area_stddev / estimate.area) ** 2

@@ -34,14 +34,23 @@ def load_reduced(
     return ReducedModel.load(model_file or None, _geometry(geometry_file))
 
 
+def load_online(
+    model_file: str | Path = "", geometry_file: str | Path | Geometry = ""
+) -> ReducedModel:
+    """As `load_reduced`, for estimates while running, which cannot know how hard the finger will be
+    pressed: for the default finger, too, the model of the population box, which reaches 10 N."""
+    model = load_reduced(model_file, geometry_file)
+    return load_population(model.geometry) if model.gives_way and not model_file else model
+
+
 def load_for(
     sets: ParameterSets, model_file: str | Path = "", geometry_file: str | Path = ""
 ) -> ReducedModel:
-    """As `load_reduced`, for the finger whose lengths the sets hold.
+    """As `load_online`, for the finger whose lengths the sets hold.
 
     Raises InputError too where a file names another finger.
     """
-    return model_for(sets, load_reduced(model_file, geometry_file), model_file, geometry_file)
+    return model_for(sets, load_online(model_file, geometry_file), model_file, geometry_file)
 
 
 def model_for(
@@ -59,7 +68,7 @@ def model_for(
             f"{sets.where}: holds the lengths of another finger ({sets.geometry_hash[:8]}) than "
             f"{geometry_file or model_file} ({model.geometry_hash[:8]}); leave one of the two out"
         )
-    return load_reduced(model_file, own)
+    return load_online(model_file, own)
 
 
 def _geometry(source: str | Path | Geometry) -> Geometry | None:

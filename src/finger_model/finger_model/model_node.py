@@ -63,7 +63,7 @@ from .estimator import ContactEstimate, ContactEstimator, EstimatorEvent, Estima
 from .estimator.estimator import FUTURE
 from .estimator.events import ANOTHER_SUBJECT
 from .estimator.parameter_selection import check_sets
-from .finger import load_reduced, model_for
+from .finger import load_online, load_reduced, model_for
 from .followers import Followers, prepare
 from .latency import LatencyHistogram
 from .lateness import Lateness
@@ -253,7 +253,7 @@ class ModelNode(ManagedNode):
     def configure(self) -> None:
         """Load model and parameters, compile, connect."""
         values = self.values
-        self._model = load_reduced(values["reduced_model_file"], values["geometry_file"])
+        self._model = load_online(values["reduced_model_file"], values["geometry_file"])
         self._sets = self._load_named_sets(values["parameter_file"])
         warm_up_all()
         warm_up(self._new_estimator(self._sets))
@@ -369,7 +369,9 @@ class ModelNode(ManagedNode):
         sets = ParameterSets.load(path) if path else ParameterSets.default()
         model = self._model_of(sets)
         check_sets(sets, model, path or "the shipped sets")
-        if sets.reduced_model_hash and sets.reduced_model_hash != model.hash:
+        # A fit takes the default finger's own model.
+        known = "", model.hash, load_reduced(geometry_file=model.geometry).hash
+        if sets.reduced_model_hash not in known:
             self.get_logger().warning(
                 f"{path or 'parameter sets'}: fitted with another reduced model of this geometry"
             )

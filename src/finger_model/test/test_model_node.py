@@ -40,7 +40,7 @@ from finger_model.estimator import (  # noqa: E402
     replay,
 )
 from finger_model.estimator.estimate import ESTIMATE_DTYPE, ESTIMATE_FIELDS  # noqa: E402
-from finger_model.finger import load_reduced  # noqa: E402
+from finger_model.finger import load_online, load_reduced  # noqa: E402
 from finger_model.geometry import Geometry  # noqa: E402
 from finger_model.messages import (  # noqa: E402
     area_of,
@@ -52,7 +52,6 @@ from finger_model.messages import (  # noqa: E402
 from finger_model.parameter_sets import ParameterSets  # noqa: E402
 from finger_model.pose.estimate import ShapeEstimate  # noqa: E402
 from finger_model.pose.estimator import PoseEstimator  # noqa: E402
-from finger_model.reduced import ReducedModel  # noqa: E402
 from finger_model.slip import SlipEstimate, SlipEstimator  # noqa: E402
 from finger_msgs.msg import (  # noqa: E402
     ContactArea,
@@ -221,7 +220,7 @@ def test_what_it_publishes_is_what_a_replay_of_its_inputs_gives(
     assert any(s.measured_area_age < 0.2 for s in bench.states)
     assert all(s.header.frame_id == "sensor" for s in bench.states)
 
-    estimator = ContactEstimator(ReducedModel.load())
+    estimator = ContactEstimator(load_online())
     received = [wrench_of(m) for m in wrenches]
     block = (np.array([s for s, _ in received]), np.array([f for _, f in received]))
     again = replay(
@@ -244,7 +243,7 @@ def test_one_stamp_of_another_time_is_flagged_and_changes_nothing(
     start(process)
     bench.connected()
     bench.until(lambda: bench.moisture.get_subscription_count() > 0)
-    reference = ContactEstimator(ReducedModel.load())
+    reference = ContactEstimator(load_online())
     sent, expected = 0, []
 
     def press(number: int) -> None:
@@ -314,7 +313,7 @@ def test_no_message_ends_the_node_and_each_is_forgotten(
     child = start(process)
     bench.connected()
     bench.until(lambda: bench.moisture.get_subscription_count() > 0)
-    reference = ContactEstimator(ReducedModel.load())
+    reference = ContactEstimator(load_online())
     sent = 0
 
     def press(number: int) -> list[tuple[ContactState, ContactEstimate]]:
@@ -807,7 +806,7 @@ def test_a_clock_that_jumps_back_resets_the_state(
     assert bench.states[299].model_area > first.model_area
     bench.until(lambda: any("jumped" in e.reason for e in bench.events))
     # The recorded event makes a replay do the same.
-    again = ContactEstimator(ReducedModel.load())
+    again = ContactEstimator(load_online())
     stamps = [*range(300), *range(50, 60)]
     block = (
         np.array([T0 + 2 * n * MS for n in stamps]),
@@ -886,7 +885,7 @@ def test_slip_goes_out_where_somebody_listens_as_the_core_has_it(
 
     start(process)
     slips = slips_heard(bench)
-    estimator, core = ContactEstimator(ReducedModel.load()), SlipEstimator()
+    estimator, core = ContactEstimator(load_online()), SlipEstimator()
     layout = FixedMessage(ContactSlip(header=bench.press(T0, 0.0).header))
     wanted = []
     for n in range(500):
@@ -950,7 +949,7 @@ def test_shape_goes_out_where_it_is_wanted_as_the_core_has_it(
     bench.until(lambda: bench.node.count_publishers("/finger/contact_shape") > 0)
     bench.settle()
     settings = EstimatorSettings(pad_aspect=1.3, plate_pitch=0.2)
-    estimator = ContactEstimator(ReducedModel.load(), settings=settings)
+    estimator = ContactEstimator(load_online(), settings=settings)
     core = PoseEstimator(estimator.pose_correction)
     layout = FixedMessage(ContactShape(header=bench.press(T0, 0.0).header))
     wanted = []

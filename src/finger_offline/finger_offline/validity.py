@@ -13,9 +13,6 @@ import numpy as np
 from finger_common.flags import StateFlag
 from finger_model.estimator import EstimateBlock
 
-BEYOND_MODEL = 5
-"""Samples in contact beyond the force limit from which a model does not serve; fewer are spikes."""
-
 _DOUBTS: dict[StateFlag, tuple[float, str, str]] = {
     StateFlag.FORCE_INVALID: (0.0, "the force is not finite", "check the force sensor"),
     StateFlag.FORCE_OUT_OF_RANGE: (
@@ -76,11 +73,6 @@ class Validity:
         if area > 0.0:
             self._areas += 1
             self._unsure += not (math.isfinite(sd) and sd > 0.0)
-
-    @property
-    def leaves_model(self) -> bool:
-        """Whether the force goes beyond the model's limit, by more than a spike."""
-        return self._flags[StateFlag.FORCE_OUT_OF_RANGE] >= BEYOND_MODEL
 
     def notes(self) -> list[str]:
         """Sentences on what makes estimates doubtful, with the remedy."""

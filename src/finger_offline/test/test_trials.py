@@ -375,7 +375,7 @@ def test_bad_mappings_are_refused(data: dict[str, Any], word: str) -> None:
         TopicMapping.from_mapping(data)
 
 
-@pytest.mark.parametrize(("images", "late"), [(False, 0.3), (True, 0.3), (False, -0.3)])
+@pytest.mark.parametrize(("images", "late"), [(False, 0.4), (True, 0.4), (False, -0.3)])
 def test_a_clock_that_differs_is_moved_by_a_mapping(
     tmp_path: Path, images: bool, late: float
 ) -> None:

@@ -17,7 +17,6 @@ from finger_bag.writer import BagWriter
 from finger_model.estimator import EstimateBlock
 from finger_model.reduced import ReducedModel
 from finger_offline.process import process
-from finger_offline.process_options import ProcessOptions
 
 
 def recorded(path: Path, lag: float = 0.0, tare: float = 0.0, sd: float = 1.5e-6) -> Path:
@@ -60,13 +59,11 @@ def test_areas_without_a_deviation_are_told_with_the_remedy(tmp_path: Path) -> N
     assert command(["process", str(tmp_path / "bag"), *output]) == 0
 
 
-def test_a_force_beyond_the_default_finger_is_served_by_the_population(
+def test_the_default_finger_is_estimated_far_beyond_three_newtons(
     session: Callable[..., Path], tmp_path: Path
 ) -> None:
-    strong = session("strong", trials=1, peak=5.0)
-    result = process(strong, tmp_path / "out")
-    assert "the model of the population was used" in result.notes[0]
-    assert not any("FORCE_OUT_OF_RANGE" in note for note in result.notes)
+    strong = session("strong", trials=1, peak=8.0)
+    assert not any("FORCE_OUT_OF_RANGE" in n for n in process(strong, tmp_path / "out").notes)
     # A second run follows the events of the first, with its model.
     first: list[EstimateBlock] = []
     second: list[EstimateBlock] = []
@@ -74,7 +71,3 @@ def test_a_force_beyond_the_default_finger_is_served_by_the_population(
     assert process(tmp_path / "out", None, on_block=second.append).replayed
     again = np.concatenate([block.column("area") for block in second])
     assert np.array_equal(again, np.concatenate([b.column("area") for b in first])[-len(again) :])
-    own = ProcessOptions(estimator={"onset_force": 0.06})
-    assert "population" in process(strong, None, own).notes[0]
-    usual = process(session("usual", trials=1), None)
-    assert not any("population" in note for note in usual.notes)
