@@ -240,6 +240,13 @@ def test_a_force_in_stairs_leaves_no_jump_of_the_area(model, tau):
     assert area == pytest.approx(smooth, rel=0.01)
 
 
+def test_the_peak_pressure_of_a_first_touch_is_that_of_hertz(model):
+    force = np.geomspace(1e-6, 0.02, 24)
+    found = model.simulate(Material(), np.arange(1.0, 25.0), force)
+    ratio = found.peak_pressure / found.mean_pressure
+    assert np.all((ratio > 1.3) & (ratio < 1.6)), ratio.round(2)
+
+
 def test_load_beyond_what_the_finger_carries_names_time_force_and_cause(model):
     stepper = model.start(Material(E0=30e3, E1=8e3, tau1=0.002, E2=300e3))
     with pytest.raises(ModelError, match=r"no equilibrium at t = .* s, .* N: .*lower it"):

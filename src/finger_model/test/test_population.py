@@ -58,6 +58,31 @@ def test_the_file_is_small() -> None:
 
 
 @pytest.mark.parametrize(
+    ("material", "own", "population"),
+    [
+        (StandardLinearSolid(), 1.0, 3.0),
+        (StandardLinearSolid(E0=150e3, E1=20e3, tau1=0.8, E2=900e3), 5.0, 5.0),
+    ],
+)
+def test_the_error_does_not_grow_over_taps_without_a_pause(
+    material: StandardLinearSolid, own: float, population: float
+) -> None:
+    """Share (%) of the largest area; docs/reduced_model.md."""
+    instants = np.arange(0.0, 4.0001, 0.025)
+    force = 0.6 * (1.0 - np.cos(4.0 * np.pi * instants))
+    truth = FullOrderModel().simulate(material, instants, force).area
+    for model, most in (
+        (ReducedModel.load(), own),
+        (load_population(Geometry()), population),
+    ):
+        found = model.for_material(material).simulate(material, instants, force).area
+        wrong = 100.0 * np.abs(found - truth)[force >= 0.1] / truth.max()
+        taps = np.array_split(wrong, 8)
+        assert wrong.max() < most
+        assert taps[-1].max() < 1.1 * taps[-3].max(), "it settles"
+
+
+@pytest.mark.parametrize(
     ("name", "change"),
     [
         ("weights", lambda a: a[:, 0]),

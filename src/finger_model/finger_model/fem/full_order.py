@@ -361,14 +361,15 @@ class Stepper:
         mesh = self.model.mesh
         area = radius_to_area(state.radius)
         force = state.force
+        mean = mean_pressure(max(force, 0.0), area)
         return ContactPoint(
             state.time,
             force,
             area,
             state.radius,
             self.indentation,
-            peak_pressure(state.positions[mesh.surface], state.contact),
-            mean_pressure(max(force, 0.0), area),
+            peak_pressure(state.positions[mesh.surface], state.contact, mean),
+            mean,
         )
 
     def fields(self) -> Fields:

@@ -82,7 +82,7 @@ def human_press(
 def random_history(
     rng: np.random.Generator, kind: str, peak: float = TARGET_FORCE
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Time (s) and force (N) of one history of KINDS, or "random" (corners at random)."""
+    """Time (s) and force (N) of one history of KINDS, "random" (corners at random) or "taps"."""
     step = 0.05 * peak
     rise = np.exp(rng.uniform(np.log(0.3), np.log(3.0)))
     if kind == "human":
@@ -95,6 +95,12 @@ def random_history(
             time += [0.5 * tap + 0.11, 0.5 * tap + 0.14, 0.5 * tap + 0.25, 0.5 * tap + 0.5]
             force += [height, height, 0.0, 0.0]
         return _fine(time, force, 1.6 * step)
+    if kind == "taps":
+        # One after the other without a pause: strain is left from tap to tap, until it settles.
+        period, share, taps = rng.uniform(0.25, 1.0), rng.uniform(0.3, 0.7), rng.integers(4, 8)
+        time = np.arange(taps)[:, None] * period + period * np.array([share, 1.0])
+        force = peak * rng.uniform(0.7, 1.0, taps)[:, None] * np.array([1.0, 0.0])
+        return _fine([0.0, *time.ravel()], [0.0, *force.ravel()], 3.0 * step)
     if kind == "random":
         time, force = [0.0], [0.0]
         for _ in range(int(rng.integers(3, 6))):
