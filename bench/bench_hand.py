@@ -50,6 +50,7 @@ from finger_bringup.supervisor import Supervisor
 from finger_common.domains import free_domain
 from finger_common.priority import PRIORITY, run_in_real_time
 from finger_common.stamps import fill_time
+from finger_common.subject_code import FINGERS
 
 sys.path.insert(0, str(Path(__file__).parent))
 from bench_contact_state import photograph
@@ -202,7 +203,7 @@ class Case:
     def __init__(
         self, fingers: int, rate: float, separate: bool = False, realtime: bool = False
     ) -> None:
-        self.fingers = list(nodes.FINGERS[:fingers])
+        self.fingers = list(FINGERS[:fingers])
         self.rate = rate
         self.separate = separate
         self.realtime = realtime

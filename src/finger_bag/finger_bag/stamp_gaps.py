@@ -34,11 +34,10 @@ class StampGaps:
     period. In a stream slowed by gaps it is the expected one where enough steps still have it.
     A message may be late, and the next ones make up for it, as those of a driver that catches up;
     what they do not make up for soon is missing. Stamps that jump while no such time passes
-    come from a clock that was stepped; they are counted in `clock_steps`.
+    come from a clock that was stepped; nothing is missing there.
     """
 
     def __init__(self, rate: float = 0.0) -> None:
-        self.clock_steps = 0
         self._expected = 1e9 / rate if rate else 0.0
         self._recent: deque[int] = deque(maxlen=4 * _BATCH)
         self._batch: list[int] = []
@@ -55,11 +54,10 @@ class StampGaps:
         if last is None:
             return
         step = stamp_ns - last[0]
-        if step < -_CLOCK_STEP * 1e9 or step * 1e-9 > arrival - last[1] + _CLOCK_STEP:
-            self.clock_steps += 1
-        elif step <= 0:
+        stepped = step < -_CLOCK_STEP * 1e9 or step * 1e-9 > arrival - last[1] + _CLOCK_STEP
+        if step <= 0 and not stepped:
             self._last = last
-        else:
+        elif not stepped:
             self._batch.append(step)
             self._recent.append(step)
             if len(self._batch) == _BATCH:

@@ -30,7 +30,7 @@ def test_gaps_between_stamps_are_counted() -> None:
     present = [i for i in range(5000) if i not in (10, 700, 701, 702, 3000)]
     stamps = [i * PERIOD + int(rng.normal(0, 100_000)) for i in present]
     gaps = counted([*stamps, present[-1] * PERIOD, stamps[-1]])
-    assert (gaps.missing, gaps.clock_steps) == (5, 0)
+    assert gaps.missing == 5
 
 
 @pytest.mark.parametrize("burst", [50, 100])
@@ -66,14 +66,12 @@ def test_a_rate_that_changes_is_followed() -> None:
 def test_a_stepped_clock_of_the_stamps_misses_nothing(step: float) -> None:
     times = np.arange(4000) * PERIOD * 1e-9
     stamps = (times + np.where(times > 2, step, 0)) * 1e9 + 1e14
-    gaps = counted(stamps, times)
-    assert (gaps.missing, gaps.clock_steps) == (0, 1)
+    assert counted(stamps, times).missing == 0
 
 
 def test_a_silence_is_missing_however_late_it_is_noticed() -> None:
     present = np.array([i for i in range(6000) if not 2000 <= i < 4000])
-    gaps = counted(present * PERIOD)
-    assert (gaps.missing, gaps.clock_steps) == (2000, 0)
+    assert counted(present * PERIOD).missing == 2000
 
 
 def polled(count: int, free: float, held: float, exchange: float = 0.2) -> tuple[list[float], int]:

@@ -22,7 +22,7 @@ from finger_common.errors import InputError
 from finger_common.folder_lock import lock_folder
 from finger_common.guided_presses import CALIBRATION_PRESSES
 from finger_common.namespaces import DEFAULT_NAMESPACE, default_folder
-from finger_common.subject_code import check_subject, parameter_file_name
+from finger_common.subject_code import FINGERS, check_subject, parameter_file_name
 from finger_model.anthropometry import FINGERS as FINGER_NAMES
 from finger_model.anthropometry import parse_length, session_geometry
 
@@ -76,7 +76,7 @@ def parser() -> argparse.ArgumentParser:
         nargs="*",
         metavar="NAME",
         help="run force and model once for each finger, in the namespace of its name; without "
-        f"names: {' '.join(nodes.FINGERS)}",
+        f"names: {' '.join(FINGERS)}",
     )
     up.add_argument(
         "--compose",
@@ -279,7 +279,7 @@ def entries(
 
 def fingers(arguments: argparse.Namespace) -> Sequence[str]:
     """Names of the fingers of a hand; empty for a rig."""
-    return () if arguments.fingers is None else arguments.fingers or nodes.FINGERS
+    return () if arguments.fingers is None else arguments.fingers or FINGERS
 
 
 def namespace_of(arguments: argparse.Namespace) -> str:

@@ -22,6 +22,7 @@ from typing import Any
 from finger_common.axes import DEFAULT_NORMAL_AXIS
 from finger_common.errors import InputError, known_names, nearest
 from finger_common.namespaces import DEFAULT_NAMESPACE, check_namespace, own_name
+from finger_common.subject_code import FINGERS
 from finger_sim.addresses import RigAddresses
 
 from .parameter_files import NO_PARAMETER_FILE, ParameterFile, matches, write_parameter_file
@@ -262,9 +263,6 @@ def rig(
     entries = select(names, merged(devices, parameters or {}))
     return [entry.with_defaults(**defaults.get(entry.name, {})) for entry in entries]
 
-
-FINGERS = ("thumb", "index", "middle", "ring", "little")
-"""Namespaces of the fingers of a hand, unless others are named."""
 
 HAND_NAMESPACE = "hand"
 

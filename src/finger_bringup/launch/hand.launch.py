@@ -13,6 +13,7 @@ from launch.actions import ExecuteProcess, OpaqueFunction
 
 from finger_bringup import nodes
 from finger_bringup.launch.actions import COMPOSE, arguments, composed, node_actions, truth, value
+from finger_common.subject_code import FINGERS
 
 
 def hand(context: LaunchContext) -> list[Action]:
@@ -30,7 +31,7 @@ def generate_launch_description() -> LaunchDescription:
     """Entry point of ros2 launch."""
     declared = arguments(
         namespace=(nodes.HAND_NAMESPACE, "Namespace of the hand, above those of its fingers."),
-        fingers=(" ".join(nodes.FINGERS), "Namespaces of the fingers, separated by spaces."),
+        fingers=(" ".join(FINGERS), "Namespaces of the fingers, separated by spaces."),
         simulated=("false", "A simulated force sensor for each finger."),
         **{**COMPOSE, "compose": ("true", "Run all fingers in one process.")},
     )

@@ -10,6 +10,7 @@ come as fast as they should is judged then.
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections import Counter
@@ -24,6 +25,9 @@ STARTING = "starting"
 
 MIXED_INPUT = "mixed_input"
 """Key of the fault that several nodes publish what one reads; numbers of samples mean nothing."""
+
+_SILENCE = re.compile(r"no sample (yet|for [\d.]+ s)(: )?")
+"""What the report of a silent source begins with."""
 
 _SHORTEST, _FEWEST = 0.5, 5
 """s that a rate is measured over at least, and samples that are due meanwhile."""
@@ -48,6 +52,11 @@ def node_within(status_name: str, namespace: str) -> str | None:
     prefix = full_node_name("", namespace)
     node = status_node(status_name)
     return node[len(prefix) :] if node.startswith(prefix) else None
+
+
+def cause_of(message: str) -> str:
+    """What a report's message says beside the age of the last sample; empty for nothing."""
+    return message[found.end() :] if (found := _SILENCE.match(message)) else message
 
 
 @dataclass

@@ -8,7 +8,19 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from finger_common.axes import axis_of
+from finger_common.axes import DEFAULT_NORMAL_AXIS, NORMAL_AXES, axis_of
+from finger_common.settings import setting
+
+
+def normal_axis_setting(advice: str) -> str:
+    """Field of Settings: the axis that `NormalForce` projects on."""
+    return setting(
+        DEFAULT_NORMAL_AXIS,
+        "Sensor axis along which the force is positive under a press; the model's parameter of "
+        "the same name.",
+        choices=NORMAL_AXES,
+        advice=advice,
+    )
 
 
 class NormalForce:

@@ -26,7 +26,6 @@ from rclpy.serialization import deserialize_message
 from std_srvs.srv import Trigger
 
 from finger_bag.streams import TrialEvent
-from finger_common.axes import DEFAULT_NORMAL_AXIS, NORMAL_AXES
 from finger_common.cli import one_line
 from finger_common.diagnostics import (
     ERROR,
@@ -56,7 +55,7 @@ from finger_msgs.msg import ContactArea, Moisture, SessionStatus, Trial
 from finger_msgs.srv import Record
 
 from .limits import Limits
-from .normal_force import NormalForce
+from .normal_force import NormalForce, normal_axis_setting
 from .protocol import Effect, Protocol, Step
 from .readiness import TARE_NEEDED, refusal, tared_by
 from .recorder_requests import RecorderRequests
@@ -130,13 +129,9 @@ class ProtocolSettings(Settings):
         advice="Use a disk that takes 20 MB/s; a session of 45 trials with images needs about "
         f"{45 * USUAL_SIZE / GIGABYTE:.0f} GB.",
     )
-    normal_axis: str = setting(
-        DEFAULT_NORMAL_AXIS,
-        "Sensor axis along which the force is positive under a press; the model's parameter of "
-        "the same name.",
-        choices=NORMAL_AXES,
-        advice="If the cue to lift never comes although the force passes the target, try the "
-        "opposite sign.",
+    normal_axis: str = normal_axis_setting(
+        "If the cue to lift never comes although the force passes the target, try the opposite "
+        "sign."
     )
     recorder_service: str = setting(
         "recorder/record", "Service that starts and stops the recording of a trial."

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from finger_common.diagnostics import ERROR, STARTING
+from finger_common.diagnostics import ERROR, STARTING, cause_of
 
 STREAM_SILENT = 0.6
 """s without a sample of a stream until it counts as silent."""
@@ -20,9 +20,6 @@ STREAM_SILENT = 0.6
 NODE_SILENT = 0.9
 """s without a heartbeat until a node counts as not running; it beats every 0.25 s."""
 
-
-SILENCE = "no sample for "
-"""What a node's own report of silence begins with; the age of its stream says that already."""
 
 REPORT_ENDS = 3.0
 """s behind its node's newest report from which that of a part counts no longer: the part is gone;
@@ -202,10 +199,10 @@ class Readiness:
                 )
         fault = next(
             (
-                report.message
+                cause  # the age of the stream says already how long it is silent
                 for node in device.nodes
                 for report in self._newest_reports(node)
-                if report.level == ERROR and not report.message.startswith(SILENCE)
+                if report.level == ERROR and (cause := cause_of(report.message))
             ),
             "",
         )

@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
-from finger_common.diagnostics import ERROR, OK, STARTING, WARN
+import pytest
+
+from finger_common.diagnostics import ERROR, OK, STARTING, WARN, Health
 from finger_operator.readiness import Readiness, refusal
 
 NODES = ("force", "camera", "vision", "moisture", "model", "recorder", "protocol")
@@ -120,6 +122,29 @@ def test_an_unplugged_sensor_is_named_with_what_its_driver_says() -> None:
     assert (problem.text, problem.detail) == ("No force.", long), "read from afar, and beside it"
     assert "cable" in problem.remedy
     assert len(rig.texts) == 1, "the model's silence follows from it"
+
+
+@pytest.mark.parametrize(
+    ("came", "warning"), [(False, ""), (True, ""), (True, "frame 0x200 with 7 bytes")]
+)
+def test_a_silent_source_is_named_once_with_the_cause_that_it_reports(
+    came: bool, warning: str
+) -> None:
+    rig, now = ready(), 0.0
+    health = Health("sensor", stale_after=0.5, clock=lambda: now)
+    health.state = "active"
+    if came:
+        health.sample()
+    now = 1.0
+    if warning:
+        health.fault("frame", warning, WARN)
+    rig.silent = {"force"}
+    rig.run(0.7)
+    rig.board.beat("force", rig.now)
+    report = health.report()
+    assert report.level == ERROR and "no sample" in report.message
+    rig.board.report("force", "force: sensor", report.level, report.message, {}, rig.now)
+    assert rig.texts[0] == (f"No force: {warning}." if warning else "No force.")
 
 
 def test_a_driver_that_started_again_has_no_zero() -> None:

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from finger_common.axes import DEFAULT_NORMAL_AXIS, NORMAL_AXES
 from finger_common.settings import Settings, setting
+
+from ..normal_force import normal_axis_setting
 
 USUAL_PORT = 8080
 """Port of the page where nothing else serves it."""
@@ -45,12 +46,8 @@ class PageSettings(Settings):
         [""],
         "Further host names under which the page may be opened, such as that of a reverse proxy.",
     )
-    normal_axis: str = setting(
-        DEFAULT_NORMAL_AXIS,
-        "Sensor axis along which the force is positive under a press; the model's parameter of "
-        "the same name.",
-        choices=NORMAL_AXES,
-        advice="If the curve goes down under a press, try the opposite sign.",
+    normal_axis: str = normal_axis_setting(
+        "If the curve goes down under a press, try the opposite sign."
     )
     display_rate: float = setting(
         100.0,
