@@ -9,9 +9,9 @@ import numpy as np
 
 from finger_common.guided_presses import CALIBRATION_PRESSES
 from finger_model.calibration import CalibrationPress, calibrate
+from finger_model.finger import load_reduced
 from finger_model.parameter_sets import ParameterSets
 from finger_model.people import People
-from finger_model.reduced import ReducedModel
 from finger_model.reduced.model import load_population
 from finger_sim.press import guided_style, plan_press
 from finger_sim.study_trial import AREA_NOISE
@@ -43,6 +43,6 @@ def run(report: Any) -> None:
     for index in range(2 if report.quick else 10):
         presses = presses_of(index)
         began = time.perf_counter()
-        calibrate(ReducedModel.load(), ParameterSets.default(), presses)
+        calibrate(load_reduced(), ParameterSets.default(), presses)
         times.append(time.perf_counter() - began)
     report.add("subject_calibration_s", max(times), "s", 10.0)

@@ -381,8 +381,8 @@ def estimator_start(runs: int) -> float:
     """
     code = (
         "from finger_model.estimator import ContactEstimator; "
-        "from finger_model.finger import load_online; "
-        "found = ContactEstimator(load_online()).add_wrench(1, (0.0, 0.0, 0.0)); "
+        "from finger_model.finger import load_reduced; "
+        "found = ContactEstimator(load_reduced()).add_wrench(1, (0.0, 0.0, 0.0)); "
         "assert found; print('found', flush=True)"
     )
     took = []

@@ -6,7 +6,9 @@ The node subscribes to `contact_state` and answers every state with the force to
 `grasp_force` (std_msgs/Float64, N). The controller itself, `AreaController`, uses no ROS. It moves
 slower the less certain the area is. When states are stale or not valid it holds its force, and goes
 on only after they have been good for a while. Only when states come that know nothing of the
-contact, for a second on end, it opens (0 N). `slip_grip.py` beside it holds a margin against slip.
+contact, for a second on end, it opens (0 N). Without contact it presses with `approach_force` at
+most, so that no larger force waits for the touch. `slip_grip.py` beside it holds a margin against
+slip.
 """
 
 from __future__ import annotations
@@ -33,9 +35,10 @@ DOUBT = 0.3
 class AreaController:
     """Integral control of the normal force, scaled by the model's slope dA/dF.
 
-    target_area: m²; gain: 1/s, of the error in area; approach_rate: N/s before contact;
-    largest_force: N; largest_rate: N/s; largest_step: s, a longer time between two states counts as
-    this; stale_after: s without a state until it holds; settle: s of good states before it goes on;
+    target_area: m²; gain: 1/s, of the error in area; approach_rate: N/s before contact, up to
+    approach_force: N, to which the force falls at once when a contact ends; largest_force: N;
+    largest_rate: N/s; largest_step: s, a longer time between two states counts as this;
+    stale_after: s without a state until it holds; settle: s of good states before it goes on;
     open_after: s of states that know nothing until it opens; sure: relative deviation of the area
     up to which it moves at full speed. `force` is the force to press with (N), `reason` why it does
     not control. Raises ValueError for an area that no fingertip has.
@@ -44,6 +47,7 @@ class AreaController:
     target_area: float
     gain: float = 8.0
     approach_rate: float = 1.0
+    approach_force: float = 0.2
     largest_force: float = 2.5
     largest_rate: float = 3.0
     largest_step: float = 0.02
@@ -96,8 +100,9 @@ class AreaController:
         if stamp - self._good_since < self.settle:
             return self.force
         self.reason = ""
+        limit = self.largest_force
         if not in_contact or area == 0:
-            rate = self.approach_rate
+            rate, limit = self.approach_rate, min(limit, self.approach_force)
         elif slope <= 0:
             rate = 0.0
         else:
@@ -110,7 +115,7 @@ class AreaController:
             # More force would change what the model does not know; less is always safe.
             rate = min(rate, 0.0)
         rate = min(max(rate, -self.largest_rate), self.largest_rate)
-        self.force = min(max(self.force + rate * elapsed, 0.0), self.largest_force)
+        self.force = min(max(self.force + rate * elapsed, 0.0), limit)
         return self.force
 
     def watch(self, now: float) -> float:

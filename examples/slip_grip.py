@@ -110,11 +110,11 @@ def hold(
     noise. A slide of 20 mm is a drop.
     """
     from finger_model.estimator import ContactEstimator
-    from finger_model.finger import load_online
+    from finger_model.finger import load_reduced
     from finger_model.slip import SlipEstimator, SlipSettings
 
     rng = np.random.default_rng(seed)
-    contact = ContactEstimator(load_online())
+    contact = ContactEstimator(load_reduced())
     slip = SlipEstimator(SlipSettings(tangential_noise=0.005))
     step = 0.002
     force = command = 2.0

@@ -26,7 +26,7 @@ from finger_common.guided_presses import CALIBRATION_PRESSES, GuidedPress
 from finger_model.anthropometry import CALIPER_DEVIATION, estimate_geometry, parse_length
 from finger_model.calibration import CalibrationPress, calibrate, subject_model
 from finger_model.estimator import ContactEstimator
-from finger_model.finger import load_online
+from finger_model.finger import load_reduced
 from finger_model.geometry import Geometry
 from finger_model.parameter_sets import ParameterSets
 from finger_model.people import People, Person
@@ -144,7 +144,7 @@ def scaled(person: Person, width: float) -> Person:
 def scores(finger: Finger, calipers: bool) -> tuple[float, float, float]:
     """`force_only` after a calibration, with calipers or without."""
     estimate = estimate_geometry(finger.width, finger.depth) if calipers else None
-    model, lengths = subject_model(load_online(), estimate)
+    model, lengths = subject_model(load_reduced(), estimate)
     sets = ParameterSets.default()
     found = calibrate(model, sets, finger.guided, finger.person.reading, lengths=lengths)
     return force_only(finger, model, found.sets)

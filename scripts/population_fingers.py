@@ -8,6 +8,8 @@ default finger. With --full-order the truth of so many fingers is the full-order
 Areas have noise of 1.5 mm² at 10 Hz, forces that of the simulated study. Every second finger has no
 moisture reading. Presses are taps, holds and slow presses.
 
+With --wide the presses, grips among them, go to 9 N, and the table is one of coverages by force.
+
 Three runs of each finger: with camera; without; with camera for five presses and then without.
 The camera's own error is that of its newest area that the estimator may use (stamp + fusion delay),
 held to the instants of the estimate. "At once": as if the area were there at the frame's stamp.
@@ -21,7 +23,7 @@ import multiprocessing
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numba
@@ -33,18 +35,40 @@ from finger_common.flags import StateFlag
 from finger_model.estimator import ContactEstimator, members
 from finger_model.estimator.neighbourhood import Neighbourhood
 from finger_model.fem.full_order import FullOrderModel
-from finger_model.finger import load_online
-from finger_model.finger_prior import FingerPrior
+from finger_model.finger import load_reduced
+from finger_model.finger_prior import NO_PEAK, PEAK_FORCES, FingerPrior
 from finger_model.parameter_sets import ParameterSets
 from finger_model.people import People, Person
 from finger_model.reduced import ReducedModel
-from finger_model.reduced.model import load_population
+from finger_model.reduced.model import POPULATION, load_population
 from finger_sim.study_trial import AREA_NOISE, FORCE_NOISE
 
+WIDE_KINDS = ("hold", "grip", "slow", "tap", "grip", "hold")
+WIDE_FORCES, LOOSE_FORCES = (0.5, 9.0), (0.1, 1.0)
+"""N, of presses over a wide range of forces, and of a grip that was loosened."""
+RANGES = ((0.1, 0.5), (0.5, 1.5), (1.5, 3.0), (3.0, 8.0))
+"""N, in which their coverages are counted."""
+FIRM_FORCE = 4.0
+"""N, after which a force of LOOSE_FORCES is that of a loosened grip."""
+WALKS = np.arange(0.04, 0.2, 0.02)
+LEAST_COVERED = 0.92
+"""Of `walk_sd`, among which the prior takes the least one whose 95 % intervals cover so many of the
+loosened grips. All of 95 % would make the others far too wide."""
 KINDS = ("hold", "tap", "slow", "tap", "hold", "slow", "tap", "hold", "slow", "tap")
 FRAME, SAMPLE, KNOT = 0.1, 0.002, 0.01
 """s between camera frames, force samples, and the samples of the truth."""
 START = 10**18
+ESTIMATED = (
+    "area",
+    "area_stddev",
+    "model_area",
+    "peak_pressure",
+    "peak_pressure_stddev",
+    "flags",
+)
+"""Columns of the estimate that `run_session` gives."""
+EVERY = range(10)
+"""Presses of a session."""
 COUNTED_FORCE = 0.1
 """N; below it relative errors of the area are not counted."""
 
@@ -64,17 +88,22 @@ class Press:
 
 @dataclass(frozen=True)
 class Session:
-    """Ten presses of one finger, and the reading of its moisture (NaN for none)."""
+    """Presses of one finger, and the reading of its moisture (NaN for none); wide: beyond 3 N."""
 
     person: Person
     presses: tuple[Press, ...]
     reading: float
     seed: int
+    wide: bool
 
 
-def force_of(rng: np.random.Generator, kind: str) -> tuple[np.ndarray, np.ndarray]:
+def force_of(
+    rng: np.random.Generator, kind: str, wide: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
     """Time (n,) in s and force (n,) in N of a press: linear rise, hold, smooth release."""
-    peak = rng.uniform(0.5, 1.35)
+    if kind == "grip":
+        return grip_of(rng)
+    peak = between(rng, WIDE_FORCES) if wide else rng.uniform(0.5, 1.35)
     spans = {
         "tap": ((0.05, 0.15), (0.0, 0.05), (0.05, 0.15)),
         "hold": ((0.3, 1.0), (1.5, 4.0), (0.15, 0.4)),
@@ -86,15 +115,38 @@ def force_of(rng: np.random.Generator, kind: str) -> tuple[np.ndarray, np.ndarra
     return time, peak * np.minimum(time / rise, 1.0) * 0.5 * (1.0 + np.cos(np.pi * falling))
 
 
-def session_of(seed: int, index: int, full_order: bool = False) -> Session:
+def between(rng: np.random.Generator, forces: tuple[float, float]) -> float:
+    """A force (N), even in its logarithm."""
+    return float(np.exp(rng.uniform(*np.log(forces))))
+
+
+def grip_of(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Time (n,) in s and force (n,) in N of a grip that is loosened three times in one contact."""
+    at, knots = 0.0, [(0.0, 0.0)]
+    for _ in range(3):
+        firm, loose = between(rng, WIDE_FORCES), between(rng, LOOSE_FORCES)
+        for force, change, hold in (
+            (firm, (0.1, 1.0), (0.5, 3.0)),
+            (min(loose, firm), (0.1, 0.5), (0.3, 1.5)),
+        ):
+            for span in (change, hold):
+                at += rng.uniform(*span)
+                knots.append((at, force))
+    at += 0.2
+    time = np.arange(0.0, at + 2 * KNOT, KNOT)
+    return time, np.interp(time, *np.transpose([*knots, (at, 0.0)]))
+
+
+def session_of(seed: int, index: int, full_order: bool = False, wide: bool = False) -> Session:
     """The index-th finger of a seed and its presses; the same for equal arguments."""
+    kinds = WIDE_KINDS if wide else KINDS
     rng = np.random.default_rng([seed, index])
     people = People.default()
     person = people.draw(rng)
-    gains = np.exp(people.press_gain * rng.normal(size=len(KINDS)))
+    gains = np.exp(people.press_gain * rng.normal(size=len(kinds)))
     times, forces, at = [], [], 0.0
-    for kind in KINDS:
-        time, force = force_of(rng, kind)
+    for kind in kinds:
+        time, force = force_of(rng, kind, wide)
         at += rng.uniform(0.8, 3.0)
         times.append(at + time)
         forces.append(force)
@@ -110,11 +162,10 @@ def session_of(seed: int, index: int, full_order: bool = False) -> Session:
             before = time[-1]
     presses = [
         Press(k, t, f, g * a[:, 0], float(g), a[:, 1] / g)
-        for k, t, f, a, g in zip(KINDS, times, forces, tables, gains)
+        for k, t, f, a, g in zip(kinds, times, forces, tables, gains)
     ]
-    return Session(
-        person, tuple(presses), np.nan if index % 2 else person.reading, 7919 * seed + index
-    )
+    reading = np.nan if index % 2 else person.reading
+    return Session(person, tuple(presses), reading, 7919 * seed + index, wide)
 
 
 def _full_order(
@@ -131,14 +182,24 @@ def _full_order(
     return tables
 
 
-def run_session(session: Session, cameras: range) -> Iterator[dict[str, np.ndarray]]:
+def run_session(
+    session: Session,
+    cameras: range,
+    prior: FingerPrior | None = None,
+    sample: float = SAMPLE,
+) -> Iterator[dict[str, np.ndarray]]:
     """Estimates of each press whose area a camera sees for the presses in `cameras`.
 
-    Columns (n,) of the samples in contact: truth, area, area_stddev, model_area, force, held (the
+    prior: None for the shipped one; sample: s. Columns (n,) of the samples in contact: truth, area,
+    area_stddev, model_area, peak_truth, peak_pressure, peak_pressure_stddev, force, held (the
     camera's newest usable area, NaN before the first), flags.
     """
     rng = np.random.default_rng(session.seed)
-    estimator = ContactEstimator(load_online())
+    model = load_reduced(POPULATION if session.wide else "")
+    sets = ParameterSets.default()
+    if prior is not None:
+        sets = sets.with_prior(prior, model.geometry)
+    estimator = ContactEstimator(model, sets)
     if np.isfinite(session.reading):
         estimator.add_moisture(START - 10**9, session.reading)
     delay = estimator.settings.fusion_delay
@@ -151,7 +212,7 @@ def run_session(session: Session, cameras: range) -> Iterator[dict[str, np.ndarr
         if number in cameras:
             for instant, area in zip(frames, measured):
                 estimator.add_area(START + round(instant * 1e9), area, AREA_NOISE)
-        time = np.arange(press.time[0] - 0.3, press.time[-1] + 0.3, SAMPLE)
+        time = np.arange(press.time[0] - 0.3, press.time[-1] + 0.3, sample)
         force = np.interp(time, press.time, press.force, 0.0, 0.0)
         noisy = force + FORCE_NOISE * rng.normal(size=len(time))
         stamps = START + np.round(time * 1e9).astype(np.int64)
@@ -162,10 +223,10 @@ def run_session(session: Session, cameras: range) -> Iterator[dict[str, np.ndarr
         at_once = np.where(newest >= 0, np.append(measured, np.nan)[newest], np.nan)
         area = np.interp(time, press.time, press.area, 0.0, 0.0)
         use = block.column("in_contact") & (area > 0)
-        columns = {n: block.column(n)[use] for n in ("area", "area_stddev", "model_area", "flags")}
         yield {
-            **columns,
+            **{name: block.column(name)[use] for name in ESTIMATED},
             "truth": area[use],
+            "peak_truth": np.interp(time, press.time, press.peak)[use],
             "force": force[use],
             "held": held[use],
             "at_once": at_once[use],
@@ -174,12 +235,11 @@ def run_session(session: Session, cameras: range) -> Iterator[dict[str, np.ndarr
 
 def states_of(
     session: Session, covariance: np.ndarray, mean: np.ndarray
-) -> tuple[np.ndarray, float, np.ndarray]:
+) -> tuple[np.ndarray, float]:
     """The finger states (5,) that describe the areas of a session best, and what they leave.
 
     By Gauss and Newton from a prior; the model is that of the true moisture. What they leave is the
-    deviation of the logarithm of the area about each press's own mean, and the logarithm (n,) of
-    the peak over the mean pressure, against that of the model.
+    deviation of the logarithm of the area about each press's own mean.
     """
     model = ReducedModel.load()
     sets = ParameterSets.default()
@@ -188,7 +248,7 @@ def states_of(
     left = 0.0
     for _ in range(4):
         near = Neighbourhood.at(model, base, x[2:])
-        rows, values, weights, residuals, peaks, before = [], [], [], [], [], 0.0
+        rows, values, weights, residuals, before = [], [], [], [], 0.0
         for press in session.presses:
             found = near.follow(before, press.time, press.force)
             before = press.time[-1]
@@ -201,14 +261,12 @@ def states_of(
             # As accurate as some ten frames a second with the misfit of a few per cent.
             weights.append(np.full(len(y), 1.0 / (0.1 / KNOT * 0.03**2)))
             residuals.append(y - h @ x)
-            model_peak = (found.area * found.peak_pressure)[use]
-            peaks.append(np.log(press.area[use] * press.peak[use] / model_peak))
         h, y, w = np.vstack(rows), np.concatenate(values), np.concatenate(weights)
         left = rms(np.concatenate([r - r.mean() for r in residuals]))
         inverse = np.linalg.inv(covariance)
         x = np.linalg.solve(h.T @ (w[:, None] * h) + inverse, h.T @ (w * y) + inverse @ mean)
         x[2:] = np.clip(x[2:], -1.5 * np.array(members.LIMITS), 1.5 * np.array(members.LIMITS))
-    return x, left, np.concatenate(peaks)
+    return x, left
 
 
 def derive_prior(seed: int, number: int) -> FingerPrior:
@@ -216,26 +274,81 @@ def derive_prior(seed: int, number: int) -> FingerPrior:
     mean, covariance = np.zeros(5), np.diag([0.25, 0.06, 0.3, 0.7, 0.4]) ** 2
     sessions = [session_of(seed, index) for index in range(number)]
     left: list[float] = []
-    peaks: list[np.ndarray] = []
     for _ in range(2):
         found = [states_of(session, covariance, mean) for session in sessions]
-        states, left, peaks = zip(*found)
+        states, left = zip(*found)
         x = np.array(states)
         mean, covariance = x.mean(axis=0), np.cov(x.T)
         print("mean", mean.round(3), "deviations", np.sqrt(np.diag(covariance)).round(3))
         print("left", np.percentile(left, [10, 50, 90]).round(4))
     people = People.default()
-    peak_mean = float(np.mean([peak.mean() for peak in peaks]))
-    peak_sd = rms(np.array([rms(peak - peak_mean) for peak in peaks]))
-    return FingerPrior(
+    narrow = FingerPrior(
         tuple(mean.round(4).tolist()),
         tuple(map(tuple, covariance.round(5).tolist())),
         round(float(np.median(left)), 4),
         people.moisture_sd,
         people.reading_sd,
-        round(peak_mean, 3),
-        round(peak_sd, 3),
     )
+    return derive_range(narrow, seed, number)
+
+
+def derive_range(prior: FingerPrior, seed: int, number: int) -> FingerPrior:
+    """A prior with what its five numbers leave over a wide range of forces: the walk of the area,
+    and the peak over the mean pressure, as live estimates of so many fingers need them."""
+    sessions = wide_sessions(seed, range(number))
+    for walk in WALKS:
+        prior = replace(prior, walk_sd=round(float(walk), 3), peak_mean=NO_PEAK, peak_sd=NO_PEAK)
+        found = [p for s in sessions for p in run_session(s, EVERY, prior, KNOT)]
+        share = np.mean(np.concatenate([covered(press)[loosened(press)] for press in found]))
+        print(f"walk_sd {walk:.2f}: 95 % interval covers {share:.3f} of the loosened grips")
+        if share >= LEAST_COVERED:
+            break
+    unseen = [p for s in sessions for p in run_session(s, range(0), prior, KNOT)]
+    mean, deviation = peak_by_force(found, unseen)
+    return replace(prior, peak_mean=mean, peak_sd=deviation)
+
+
+def wide_sessions(seed: int, indices: range) -> list[Session]:
+    """Sessions over a wide range of forces, without fingers that the model cannot press so hard."""
+    found = [session_of(seed, index, wide=True) for index in indices]
+    return [s for s in found if all(np.isfinite(p.area).all() for p in s.presses)]
+
+
+def loosened(press: dict[str, np.ndarray]) -> np.ndarray:
+    """Whether each sample (n,) is of a grip that was firm and is loose now."""
+    was_firm = np.maximum.accumulate(press["force"]) > FIRM_FORCE
+    return was_firm & (press["force"] > LOOSE_FORCES[0]) & (press["force"] < LOOSE_FORCES[1])
+
+
+def peak_by_force(
+    *runs: list[dict[str, np.ndarray]],
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Mean and deviation (n,) at PEAK_FORCES of ln (true peak over the estimated one), in presses
+    of a prior without them, by least squares: beside the stated deviation of the area, as large as
+    each of the runs needs it."""
+    columns = [[np.concatenate(c) for c in zip(*map(_peak_errors, run))] for run in runs]
+    force, off, _ = (np.concatenate(column) for column in zip(*columns))
+    mean = np.linalg.lstsq(_hats(force), off, rcond=None)[0]
+    deviation = np.zeros(len(mean))
+    for force, off, variance in columns:
+        left = (off - _hats(force) @ mean) ** 2 - variance
+        own = np.linalg.lstsq(_hats(force), left, rcond=None)[0]
+        deviation = np.maximum(deviation, np.sqrt(np.maximum(own, 0.0)))
+    return tuple(mean.round(3).tolist()), tuple(deviation.round(3).tolist())
+
+
+def _hats(force: np.ndarray) -> np.ndarray:
+    """Weights (n, 5) of the values at PEAK_FORCES in that at each force (n,)."""
+    knots = np.log(PEAK_FORCES)
+    return np.column_stack([np.interp(np.log(force), knots, own) for own in np.eye(len(knots))])
+
+
+def _peak_errors(press: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Force (n,) of the counted samples, ln (true peak over the estimate), its stated variance."""
+    use = press["force"] > COUNTED_FORCE
+    relative = press["area_stddev"][use] / press["area"][use]
+    off = np.log(press["peak_truth"][use] / press["peak_pressure"][use])
+    return press["force"][use], off, np.log1p(relative**2)
 
 
 def rms(values: np.ndarray) -> float:
@@ -243,9 +356,34 @@ def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float("nan")
 
 
-def covered(press: dict[str, np.ndarray]) -> np.ndarray:
-    """Whether the 95 % interval of each sample (n,) holds the true area."""
-    return np.abs(press["area"] - press["truth"]) <= 1.96 * press["area_stddev"]
+def covered(press: dict[str, np.ndarray], name: str = "area") -> np.ndarray:
+    """Whether the 95 % interval of each sample (n,) holds the true area, or peak pressure."""
+    truth = press["truth" if name == "area" else "peak_truth"]
+    return np.abs(press[name] - truth) <= 1.96 * press[name + "_stddev"]
+
+
+def wide_table(seed: int, indices: range) -> dict[str, float]:
+    """Coverages (%) of area and peak pressure by force, with camera and without, over fingers whose
+    presses go to WIDE_FORCES; their relative errors (RMS)."""
+    figures = {}
+    sessions = wide_sessions(seed, indices)
+    for label, cameras in (("camera", EVERY), ("none", range(0))):
+        presses = [press for s in sessions for press in run_session(s, cameras, sample=KNOT)]
+        parts = [
+            (f"{low:g} to {high:g} N", [(p["force"] > low) & (p["force"] < high) for p in presses])
+            for low, high in RANGES
+        ]
+        parts.append(("loosened", [loosened(press) for press in presses]))
+        for name, truth in (("area", "truth"), ("peak_pressure", "peak_truth")):
+            for part, uses in parts:
+                inside = [covered(press, name)[use] for press, use in zip(presses, uses)]
+                off = [(p[name] / p[truth] - 1.0)[use] for p, use in zip(presses, uses)]
+                where = f"{label}: {name}, {part}"
+                figures[f"{where}: 95 % interval covers (%)"] = float(
+                    100.0 * np.mean(np.concatenate(inside))
+                )
+                figures[f"{where}: error, RMS (%)"] = 100.0 * rms(np.concatenate(off))
+    return figures
 
 
 def least_error(presses: tuple[Press, ...], seen: int) -> float:
@@ -349,7 +487,18 @@ def main() -> int:
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--prior", action="store_true", help="print the prior of the estimator")
     parser.add_argument("-o", "--output", default="")
+    parser.add_argument("--range", action="store_true", help="print walk_sd and peak of the prior")
+    parser.add_argument("--wide", action="store_true", help="presses to 9 N: coverages by force")
     args = parser.parse_args()
+    if args.range:
+        prior = ParameterSets.default().prior
+        assert prior is not None
+        print(yaml.safe_dump({"prior": derive_range(prior, args.seed, args.fingers).to_dict()}))
+        return 0
+    if args.wide:
+        for label, value in wide_table(args.seed, range(args.fingers)).items():
+            print(f"  {label:62s} {value:8.3g}")
+        return 0
     if args.prior:
         print(yaml.safe_dump({"prior": derive_prior(args.seed, args.fingers).to_dict()}))
         return 0

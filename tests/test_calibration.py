@@ -24,7 +24,7 @@ from finger_model.calibration import (
     subject_model,
 )
 from finger_model.estimator import ContactEstimator
-from finger_model.finger import load_for, load_online
+from finger_model.finger import load_for, load_reduced
 from finger_model.geometry import Geometry
 from finger_model.parameter_sets import ParameterSets
 from finger_model.people import People, Person
@@ -80,12 +80,12 @@ def pressed(index: int, seed: int = 11) -> Finger:
 def calibrated(finger: Finger) -> Calibration:
     presses = finger.presses[: len(CALIBRATION_PRESSES)]
     sets = ParameterSets.default()
-    return calibrate(load_online(), sets, presses, finger.person.reading)
+    return calibrate(load_reduced(), sets, presses, finger.person.reading)
 
 
 def force_only(finger: Finger, sets: ParameterSets) -> tuple[float, float]:
     """RMS over RMS of the area, without camera, in the presses after; and the 95 % coverage."""
-    estimator = ContactEstimator(load_online(), sets)
+    estimator = ContactEstimator(load_reduced(), sets)
     estimator.add_moisture(START - 10**9, finger.person.reading)
     error, truth, deviation = [], [], []
     number = len(CALIBRATION_PRESSES)
@@ -119,7 +119,7 @@ def test_calipers_help_where_the_finger_is_of_another_size(script: Any) -> None:
 
 
 def test_the_file_of_a_subject_holds_the_lengths(fingers: list[Finger], tmp_path: Path) -> None:
-    model, lengths = subject_model(load_online(), estimate_geometry(0.014, 0.010, age=70))
+    model, lengths = subject_model(load_reduced(), estimate_geometry(0.014, 0.010, age=70))
     presses = fingers[0].presses[: len(CALIBRATION_PRESSES)]
     found = calibrate(model, ParameterSets.default(), presses, lengths=lengths)
     assert "lengths from width 14 mm, depth 10 mm, age 70" in found.sentence()
@@ -149,7 +149,7 @@ def test_the_file_of_a_subject_holds_the_lengths(fingers: list[Finger], tmp_path
 def test_without_calipers_that_serve_the_finger_in_use_is_taken(
     calipers: GeometryEstimate | None, said: str
 ) -> None:
-    in_use = load_online()
+    in_use = load_reduced()
     model, lengths = subject_model(in_use, calipers)
     assert model is in_use and said in lengths.note and not lengths.deviations
 
@@ -181,7 +181,7 @@ def test_parameters_of_a_fit_keep_their_finger_whatever_calipers_say(
     default = ParameterSets.default()
     fitted = ParameterSets(default.sets, Geometry().hash(), law=default.law, prior=default.prior)
     calipers = estimate_geometry(0.014, 0.010)
-    model, lengths = subject_model(load_online(), calipers, fitted)
+    model, lengths = subject_model(load_reduced(), calipers, fitted)
     presses = fingers[0].presses[: len(CALIBRATION_PRESSES)]
     found = calibrate(model, fitted, presses, lengths=lengths)
     assert "not used, the parameters in use are of one finger's lengths" in found.sentence()
@@ -211,9 +211,11 @@ def test_force_alone_is_as_certain_as_the_guided_presses_were_alike(
         sets = calibrated(finger).sets
         assert sets.presses is not None and sets.presses.number == 9
         assert 0.01 <= sets.presses.sd < 0.08
-        estimator = ContactEstimator(load_online(), sets)
+        estimator = ContactEstimator(load_reduced(), sets)
         estimator.add_moisture(START - 10**9, finger.person.reading)
-        press = finger.presses[len(CALIBRATION_PRESSES)]
+        # As strong as the guided ones: of harder ones less is known.
+        later = finger.presses[len(CALIBRATION_PRESSES) :]
+        press = next(p for p in later if 1.0 < p.force.max() < 1.4)
         stamps = START + np.round(press.time * 1e9).astype(np.int64)
         forces = np.column_stack([0 * press.force, 0 * press.force, -press.force])
         block = estimator.add_wrenches(stamps, forces)
@@ -265,7 +267,7 @@ def test_too_few_areas_are_refused(fingers: list[Finger]) -> None:
         for p in fingers[0].presses[:9]
     ]
     with pytest.raises(InputError, match="0 of 9 presses have 2 usable areas"):
-        calibrate(load_online(), ParameterSets.default(), blind)
+        calibrate(load_reduced(), ParameterSets.default(), blind)
 
 
 def test_presses_of_several_fingers_are_refused(fingers: list[Finger]) -> None:
@@ -275,7 +277,7 @@ def test_presses_of_several_fingers_are_refused(fingers: list[Finger]) -> None:
         for p, f in zip(fingers[0].presses, factors)
     ]
     with pytest.raises(InputError, match="same finger"):
-        calibrate(load_online(), ParameterSets.default(), mixed)
+        calibrate(load_reduced(), ParameterSets.default(), mixed)
 
 
 def test_presses_that_may_be_of_two_fingers_are_questioned(fingers: list[Finger]) -> None:
@@ -284,7 +286,7 @@ def test_presses_that_may_be_of_two_fingers_are_questioned(fingers: list[Finger]
     presses = finger.presses[: len(CALIBRATION_PRESSES)]
     mixed = [replace(p, area=(1.25 if i % 2 else 1.0) * p.area) for i, p in enumerate(presses)]
     sets, reading = ParameterSets.default(), finger.person.reading
-    found = calibrate(load_online(), sets, mixed, reading)
+    found = calibrate(load_reduced(), sets, mixed, reading)
     assert found.press_scatter > 0.08
     assert "the same finger each time?" in found.sentence()
     assert "each time?" not in calibrated(finger).sentence()
@@ -294,8 +296,8 @@ def test_without_a_reading_the_moisture_is_found_with_the_finger() -> None:
     """A dry finger without probe: what its moisture does is taken for the finger's own."""
     finger = pressed(3)
     presses = finger.presses[: len(CALIBRATION_PRESSES)]
-    found = calibrate(load_online(), ParameterSets.default(), presses)
-    estimator = ContactEstimator(load_online(), found.sets)
+    found = calibrate(load_reduced(), ParameterSets.default(), presses)
+    estimator = ContactEstimator(load_reduced(), found.sets)
     press, area = finger.presses[9], finger.truth[9]
     stamps = START + np.round(press.time * 1e9).astype(np.int64)
     block = estimator.add_wrenches(
@@ -309,7 +311,7 @@ def test_the_area_is_that_which_was_seen_whether_or_not_the_moisture_is_known(
     fingers: list[Finger],
 ) -> None:
     presses = fingers[0].presses[: len(CALIBRATION_PRESSES)]
-    blind = calibrate(load_online(), ParameterSets.default(), presses).quantities[0]
+    blind = calibrate(load_reduced(), ParameterSets.default(), presses).quantities[0]
     assert blind.value == pytest.approx(calibrated(fingers[0]).quantities[0].value, rel=0.03)
 
 
@@ -344,7 +346,7 @@ def test_presses_out_of_the_streams_are_the_presses(fingers: list[Finger], faili
     last = CALIBRATION_PRESSES[-1].name
     assert not collector.announce("S01_a", last, 8, 0, TrialPhase.IDLE)  # once is enough
     sets = ParameterSets.default()
-    found = calibrate(load_online(), sets, collector.presses(), collector.moisture())
+    found = calibrate(load_reduced(), sets, collector.presses(), collector.moisture())
     known, wanted = found.sets.prior, calibrated(fingers[0]).sets.prior
     assert known is not None and wanted is not None
     assert np.allclose(known.mean, wanted.mean, atol=0.1)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from finger_model.estimator import ContactEstimator
-from finger_model.finger import load_online
+from finger_model.finger import load_reduced
 from finger_model.geometry import Geometry
 from finger_model.parameter_sets import ParameterSet, ParameterSets
 from finger_model.reduced import ReducedModel
@@ -88,7 +88,7 @@ def session(trials: list[Trial], parameters: np.ndarray, seed: int) -> Score:
     """One estimator over all trials of a session, 20 s apart."""
     rng = np.random.default_rng(seed)
     sets = ParameterSets([ParameterSet("natural", 69.31, 6.54, tuple(parameters))])
-    estimator = ContactEstimator(load_online(), sets)
+    estimator = ContactEstimator(load_reduced(), sets)
     found: list[list[np.ndarray]] = [[], [], [], []]
     for number, trial in enumerate(trials):
         start = 10**18 + number * 20 * 10**9

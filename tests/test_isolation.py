@@ -183,6 +183,10 @@ def test_remapped_topics_reach_their_own_finger_only(
     hand.observer.create_publisher(WrenchStamped, "/ft/a", 10)
     hand.until(lambda: "second_publisher" in hand.nodes["thumb"]["force"].healths[0].faults)
     assert "second_publisher" not in hand.nodes["index"]["force"].healths[0].faults
+    # The model takes the samples of its own process, and none of the topic.
+    model = hand.nodes["thumb"]["model"].healths[0]
+    hand.until(lambda: "mixed_input" in model.faults)
+    assert "readers in other processes mix them" in model.faults["mixed_input"]
 
 
 def test_simulated_time_that_jumps_back_resets_both_fingers_and_no_other(hand: Hand) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -9,9 +10,11 @@ import numpy as np
 import pytest
 
 from finger_model.estimator import ContactEstimator
-from finger_model.finger import load_online
+from finger_model.finger import load_reduced
+from finger_model.finger_prior import PEAK_FORCES, FingerPrior
 from finger_model.parameter_sets import ParameterSets
 from finger_model.people import People
+from finger_model.reduced.model import POPULATION
 from finger_model.reduced.population import check_geometry
 
 FIGURES = {
@@ -92,14 +95,30 @@ def test_the_whole_table(script: Any) -> None:
 
 
 def test_the_peak_pressure_is_as_uncertain_as_fingers_differ_in_it(script: Any) -> None:
-    """Peak over mean pressure of drawn fingers, beside the model of the default finger."""
+    """At each force as much as the prior says there; one number is that of all forces."""
     prior = ParameterSets.default().prior
     assert prior is not None
-    mean, covariance = np.array(prior.mean), np.array(prior.covariance)
-    found = [script.states_of(script.session_of(3, i), covariance, mean)[2] for i in range(4)]
-    off = np.array([script.rms(peak - prior.peak_mean) for peak in found])
-    assert 0.4 * prior.peak_sd < script.rms(off) < 2.0 * prior.peak_sd
-    estimator = ContactEstimator(load_online())
-    estimate = [estimator.add_wrench(k * 10**7, (0.0, 0.0, -0.01 * k))[0] for k in range(100)][-1]
-    own = estimate.peak_pressure_stddev / estimate.peak_pressure
-    assert own**2 > prior.peak_sd**2 + (estimate.area_stddev / estimate.area) ** 2
+    data = prior.to_dict()
+    same = FingerPrior.parse({**data, "peak_mean": 0.149, "peak_sd": 0.186}, "an earlier file")
+    assert same.peak_mean == len(PEAK_FORCES) * (0.149,)
+    assert FingerPrior.parse(data, "the shipped file") == prior
+    for own in (prior, same):
+        model = load_reduced(POPULATION)
+        estimator = ContactEstimator(model, ParameterSets.default().with_prior(own, model.geometry))
+        for k in range(350):
+            estimate = estimator.add_wrench(k * 10**7, (0.0, 0.0, -0.01 * (k + 1)))[0]
+            near = np.interp(math.log(max(0.01 * (k + 1), 0.15)), np.log(PEAK_FORCES), own.peak_sd)
+            if k > 10:
+                stated = estimate.peak_pressure_stddev / estimate.peak_pressure
+                assert stated**2 > near**2 + (estimate.area_stddev / estimate.area) ** 2
+
+
+def test_intervals_hold_over_a_wide_range_of_forces(script: Any) -> None:
+    """Area after a firm grip that was loosened, and peak pressure at every force."""
+    found = script.wide_table(3, range(10))
+    covers = "95 % interval covers (%)"
+    assert 85.0 <= found[f"camera: area, loosened: {covers}"]
+    for label in ("camera", "none"):
+        for low, high in script.RANGES:
+            assert 85.0 <= found[f"{label}: peak_pressure, {low:g} to {high:g} N: {covers}"]
+        assert found[f"{label}: peak_pressure, 3 to 8 N: error, RMS (%)"] < 70.0

@@ -23,12 +23,11 @@ def find_bags(paths: Iterable[str | Path]) -> list[Path]:
     """Bags among files and folders; a folder that is no bag stands for the bags in it and in the
     folders directly in it, and a folder without bags there for those one deeper: of a session.
 
-    Raises InputError for a path that does not exist or a folder without bags.
+    Raises InputError for a path that is neither a file nor a folder, or a folder without bags.
     """
     found: list[Path] = []
     for path in map(Path, paths):
-        if not exists(path):
-            raise InputError(f"{path}: no such bag; check the path")
+        check_place(path)
         if path.is_file() or (path / METADATA).is_file():
             found.append(path)
             continue
@@ -39,6 +38,14 @@ def find_bags(paths: Iterable[str | Path]) -> list[Path]:
     if not found:
         raise InputError("no bag was given; name bags or a folder of bags")
     return found
+
+
+def check_place(path: Path) -> None:
+    """Raise InputError for a path of a bag where there is neither a file nor a folder."""
+    if not exists(path):
+        raise InputError(f"{path}: no such bag; check the path")
+    if not path.is_file() and not path.is_dir():
+        raise InputError(f"{path}: is a pipe or a device, not a bag; save the bag as a file first")
 
 
 def _visible(folder: Path) -> list[Path]:

@@ -120,6 +120,10 @@ def set_stamps(table: np.ndarray, prefix: str, stamps_ns: np.ndarray) -> None:
     table[prefix + ".sec"], table[prefix + ".nanosec"] = np.divmod(stamps_ns, NANOSECONDS)
 
 
+UNREAD_STAMP = -1
+"""ns; of a message that is none."""
+
+
 def stamps_and_wrenches(
     raws: Sequence[bytes], decoder: Decoder | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -127,11 +131,11 @@ def stamps_and_wrenches(
     WrenchStamped.
 
     decoder: for messages that are not laid out as expected, and for all where their definition is
-    not the known one; None refuses them. A message that is neither is given the stamp -1.
+    not the known one; None refuses them. A message that is neither is given UNREAD_STAMP.
     """
     number = len(raws)
     fixed = decoder is None or decoder.standard
-    stamps = np.full(number, -1, np.int64)
+    stamps = np.full(number, UNREAD_STAMP, np.int64)
     values = {part: np.full((number, 3), np.nan) for part in ("force", "torque")}
     groups: dict[tuple[int, bytes], list[int]] = defaultdict(list)
     others: list[int] = []

@@ -14,7 +14,7 @@ from finger_common.errors import InputError
 from .definitions import MAXIMUM_DEFINITION, TopicInfo
 from .reader import BagReader, open_bag
 from .schema import IMAGE_TOPICS, spec_of
-from .writer import BagWriter
+from .writer import BagWriter, MessageRefused
 
 TEXT_SUFFIXES = (".yaml", ".yml", ".json", ".csv")
 
@@ -63,7 +63,7 @@ def copy_attachments(reader: BagReader, writer: BagWriter) -> None:
 def recover(source: str | Path, target: str | Path) -> BagCopy:
     """Copy what can be read of a bag into a new one; the original is not touched.
 
-    Raises InputError when nothing can be read or the target exists.
+    Raises InputError when nothing can be read, the target exists or cannot be written.
     """
     with (
         open_bag(source) as reader,
@@ -91,7 +91,7 @@ def recover(source: str | Path, target: str | Path) -> BagCopy:
                 continue
             try:
                 writer.copy(message)
-            except InputError:
+            except MessageRefused:
                 malformed += 1
         problems = [*reader.all_problems(), *refused.values()]
         if malformed:

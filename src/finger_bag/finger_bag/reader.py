@@ -23,10 +23,10 @@ import numpy as np
 import zstandard
 
 from finger_common.errors import InputError, listed
-from finger_common.files import exists, load_yaml
+from finger_common.files import load_yaml
 from finger_common.stamps import seconds, whole_stamp
 
-from .bag_files import METADATA, are_one_bag, data_files, storage_of
+from .bag_files import METADATA, are_one_bag, check_place, data_files, storage_of
 from .definitions import Decoder, TopicInfo, decoder, fields_of
 from .log_order import Part, Pending
 from .mcap_file import MAXIMUM_CHUNK, AttachmentEntry, McapFile
@@ -145,8 +145,7 @@ class BagReader:
 
     def _find_files(self) -> tuple[list[Path], str, dict[str, str]]:
         """Files of the bag, how they are stored, custom data of metadata.yaml."""
-        if not exists(self.path):
-            raise InputError(f"{self.path}: no such bag; check the path")
+        check_place(self.path)
         if self.path.is_file():
             return [self.path], storage_of(self.path) or "mcap", {}
         custom: dict[str, str] = {}

@@ -387,7 +387,7 @@ class Recorder:
             self._end(str(removed))
             self._cut(writer, safe, taken)
         except (FingerError, OSError, struct.error, MemoryError) as error:
-            detail = getattr(error, "strerror", None) or str(error)
+            detail = getattr(error.__cause__ or error, "strerror", None) or str(error)
             self._end(
                 f"{writer.path}: recording ended ({detail}); 'finger-bag recover' completes the bag"
             )
@@ -431,8 +431,8 @@ class Recorder:
         try:
             writer.add_topic(name, stored)
             writer.write_raw(name, cdr, *times)
-        except InputError as error:
-            if isinstance(error.__cause__ or error.__context__, OSError):
+        except InputError:
+            if writer.closed:  # the disk refused it, not the bag
                 raise
             self.note_lost(topic, 1)
 

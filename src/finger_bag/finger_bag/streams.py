@@ -16,7 +16,13 @@ from finger_common.errors import InputError, listed
 from finger_common.stamps import header_stamp
 from finger_common.subject_code import known_finger
 
-from .cdr_layout import WRENCH_TYPE, frame_id_of_cdr, stamp_of_cdr, stamps_and_wrenches
+from .cdr_layout import (
+    UNREAD_STAMP,
+    WRENCH_TYPE,
+    frame_id_of_cdr,
+    stamp_of_cdr,
+    stamps_and_wrenches,
+)
 from .definitions import Decoder
 from .mapping import MappedTopic
 from .read_settings import ReadSettings
@@ -190,10 +196,16 @@ def read_wrenches(
     """
     stamps, force, torque = stamps_and_wrenches([item.raw for item in items], decoder)
     log = np.array([item.log_time_ns for item in items], np.int64)
-    good = stamps >= 0
+    unread = stamps == UNREAD_STAMP
+    early = (stamps < 0) & ~unread & (not mapped.log_time)
+    for bad, reason in (
+        (unread, f"bytes are not a {WRENCH_TYPE}"),
+        (early, "stamps lie before 1970; name 'stamp: log_time' for the wrench in a mapping file"),
+    ):
+        if bad.any():
+            malformed.add(items[0].topic, reason, int(bad.sum()))
+    good = ~(unread | early)
     if not good.all():
-        reason = f"bytes are not a {WRENCH_TYPE}"
-        malformed.add(items[0].topic, reason, int((~good).sum()))
         stamps, force, torque, log = stamps[good], force[good], torque[good], log[good]
     frame = ""
     if len(stamps):

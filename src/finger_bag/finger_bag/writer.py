@@ -20,7 +20,7 @@ from typing import IO, Any
 import yaml
 
 from finger_common.errors import InputError
-from finger_common.files import atomic_write, check_text, load_yaml
+from finger_common.files import NO_ROOM, atomic_write, check_text, load_yaml
 from finger_common.folder_lock import take_lock
 from finger_common.stamps import NANOSECONDS, seconds
 
@@ -36,6 +36,10 @@ CHUNK_SIZE = 1 << 20
 
 # Version 8 keeps QoS as text, as every rosbag2 from Humble on reads it; version 9 changes that.
 METADATA_VERSION = 8
+
+
+class MessageRefused(InputError):
+    """Bytes that are no message, or a time that no bag can hold; other messages can be written."""
 
 
 @dataclass
@@ -141,7 +145,8 @@ class BagWriter:
     maximum_duration: bytes of messages and seconds after which the next file of the bag is begun; 0
     for never.
 
-    Raises InputError when the folder exists or cannot be written.
+    Raises InputError when the folder exists or cannot be written. After a write that failed, as on
+    a full disk, nothing more is written and every further call raises InputError again.
     """
 
     def __init__(
@@ -174,7 +179,8 @@ class BagWriter:
         self._attachments: list[tuple[str, bytes, str]] = []
         self._stream: IO[bytes] | None = None
         self._mcap: McapWriter | None = None
-        self.closed = False
+        self.closed = self._finished = False
+        self._failure = ""
         name = self.path.name
         if not name or name in (".", "..") or "\0" in str(path):
             raise InputError(f"{path}: not a name for a bag; give the folder to write")
@@ -192,10 +198,7 @@ class BagWriter:
             self._lock_folder()
             self._open_file()
         except OSError as error:
-            self._unlock_folder()
-            raise InputError(
-                f"{path}: cannot be written ({error.strerror}); choose a writable folder"
-            ) from None
+            raise self._failed(error) from error
 
     def _lock_folder(self) -> None:
         """Keep other programs from writing a bag of this name; ends with the process."""
@@ -228,14 +231,11 @@ class BagWriter:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        if kind is not None:
-            self.abandon()
-            return
         try:
-            self.close()
-        except BaseException:  # such as a disk that is full now
+            if kind is None:
+                self.close()
+        finally:  # also of a disk that is full now
             self.abandon()
-            raise
 
     # Files -----------------------------------------------------------------------------------
 
@@ -360,15 +360,16 @@ class BagWriter:
     ) -> None:
         """Write one serialized message as it is.
 
-        A topic that is not of the schema must have been announced by `add_topic`. Raises InputError
-        for bytes without a CDR encapsulation header and for a time that does not fit.
+        A topic that is not of the schema must have been announced by `add_topic`. Raises
+        MessageRefused for bytes without a CDR encapsulation header and for a time that does not
+        fit, InputError when the disk refuses.
         """
-        channel_id = self._ids.get(topic)
-        if channel_id is None or self._splits:
-            channel_id = self._prepare(topic, log_time_ns)
-        if len(cdr) < 4 or cdr[0] != 0:
-            raise InputError(f"topic '{topic}': bytes are not a CDR message")
         try:
+            channel_id = self._ids.get(topic)
+            if channel_id is None or self._splits:
+                channel_id = self._prepare(topic, log_time_ns)
+            if len(cdr) < 4 or cdr[0] != 0:
+                raise MessageRefused(f"topic '{topic}': bytes are not a CDR message")
             self._mcap.add_message(  # type: ignore[union-attr]
                 channel_id,
                 log_time_ns,
@@ -377,12 +378,12 @@ class BagWriter:
                 sequence & 0xFFFFFFFF,
             )
         except struct.error:
-            raise InputError(
+            raise MessageRefused(
                 f"topic '{topic}': time {log_time_ns} ns is outside a bag's range; "
                 "use ns since the epoch"
             ) from None
         except OSError as error:
-            raise InputError(f"{self.path}: cannot be written ({error.strerror})") from error
+            raise self._failed(error) from error
 
     def _prepare(self, topic: str, log_time_ns: int) -> int:
         """Id of a topic's channel in the file that a message of this time goes to."""
@@ -395,10 +396,18 @@ class BagWriter:
         return self._channel_id(self._channels[name])
 
     def _begun(self) -> McapWriter:
-        """File being written; raises InputError when the bag is closed."""
+        """File being written; raises InputError when the bag is closed or a write failed."""
         if self._mcap is None:
-            raise InputError(f"{self.path}: bag is closed already")
+            raise InputError(self._failure or f"{self.path}: bag is closed already")
         return self._mcap
+
+    def _failed(self, error: OSError) -> InputError:
+        """The bag ends here, as nobody knows how much of a record is in its file; the sentence."""
+        remedy = "make room, or choose" if error.errno in NO_ROOM else "choose"
+        reason = error.strerror or error
+        self._failure = f"{self.path}: cannot be written ({reason}); {remedy} another folder"
+        self.abandon()
+        return InputError(self._failure)
 
     def copy(self, message: BagMessage) -> None:
         """Write a message of another bag as it is; its topic must be known or announced."""
@@ -441,14 +450,21 @@ class BagWriter:
     def _add_attachment(self, name: str, data: bytes, media_type: str) -> None:
         mcap = self._begun()
         before = mcap.size
-        mcap.add_attachment(time.time_ns(), name, media_type, data)
+        try:
+            mcap.add_attachment(time.time_ns(), name, media_type, data)
+        except OSError as error:
+            raise self._failed(error) from error
         self._head_size += mcap.size - before
 
     def flush(self) -> None:
         """End the chunk in progress and hand everything to the operating system: it survives a
         kill."""
-        if self._mcap is not None:
-            self._mcap.flush()
+        if self._mcap is None and not self._failure:
+            return
+        try:
+            self._begun().flush()
+        except OSError as error:
+            raise self._failed(error) from error
 
     @property
     def present(self) -> bool:
@@ -488,11 +504,23 @@ class BagWriter:
 
     # End -------------------------------------------------------------------------------------
 
-    def close(self) -> WrittenBag:
-        """Finish the files, write metadata.yaml, give the folder its name."""
-        if not self.closed:
+    def finish(self) -> None:
+        """Finish the files and write metadata.yaml; `close` needs no more room on the disk then."""
+        if self._failure:
+            raise InputError(self._failure)
+        if self._finished or self.closed:
+            return
+        try:
             self._close_file()
             self._write_metadata()
+        except OSError as error:
+            raise self._failed(error) from error
+        self._finished = True
+
+    def close(self) -> WrittenBag:
+        """Finish the files, write metadata.yaml, give the folder its name."""
+        self.finish()
+        if not self.closed:
             if self._folder != self.path:
                 self._refuse_existing()
                 if self.path.is_dir():
@@ -513,7 +541,7 @@ class BagWriter:
             with contextlib.suppress(OSError):  # what is buffered may not fit on the disk
                 self._stream.close()
         self._mcap = self._stream = None
-        if self._folder != self.path:
+        if self._lock >= 0 and self._folder != self.path:
             shutil.rmtree(self._folder, ignore_errors=True)
         self._unlock_folder()
 

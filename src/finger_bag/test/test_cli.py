@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -362,3 +363,25 @@ def test_the_bag_in_this_folder_is_recovered_beside_it(
     monkeypatch.chdir(path)
     assert run(command, ["recover", "."]) == 0
     assert open_bag(path.with_name("S01.1_recovered")).info.topics
+
+
+@pytest.mark.parametrize("name", ["info", "validate", "process", "recover", "anonymise"])
+def test_a_device_or_pipe_is_no_bag(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    os.mkfifo(tmp_path / "pipe.mcap")
+    output = [] if name in ("info", "validate") else ["-o", str(tmp_path / "out")]
+    for path in ("/dev/null", str(tmp_path / "pipe.mcap")):
+        assert run(command, [name, path, *output]) == 2
+        assert f"{path}: is a pipe or a device, not a bag" in capsys.readouterr().err
+
+
+def test_a_table_is_not_written_over_the_bag_or_another_table(
+    session: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, out = session(trials=1), str(tmp_path / "out")
+    table = str(tmp_path / "t.csv")
+    for more in (["--csv", table, "--parquet", table], ["--csv", f"{out}/t.csv"]):
+        assert run(command, ["process", str(path), "-o", out, *more]) == 2
+    assert "lies in the output" in capsys.readouterr().err
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]

@@ -31,7 +31,7 @@ from finger_bringup.parameter_files import ParameterFile  # noqa: E402
 from finger_common.node import LATCHED_QOS  # noqa: E402
 from finger_common.stamps import header_stamp  # noqa: E402
 from finger_model.estimator import ContactEstimator, replay  # noqa: E402
-from finger_model.finger import load_online  # noqa: E402
+from finger_model.finger import load_reduced  # noqa: E402
 from finger_model.messages import event_of, state_numbers, wrench_of  # noqa: E402
 from finger_msgs.msg import ContactState, ModelEvent  # noqa: E402
 
@@ -159,7 +159,7 @@ def test_a_hand_in_one_process(hand: Hand, tmp_path: Path) -> None:
     stamps = sorted(s for s in wrenches if begin <= s <= last)
     forces = np.array([wrench_of(wrenches[s])[1] for s in stamps])
     (block,) = replay(
-        ContactEstimator(load_online()),
+        ContactEstimator(load_reduced()),
         [(np.array(stamps), forces)],
         events=[event_of(hand.events[-1])],
     )

@@ -16,6 +16,14 @@ DEFAULT_NORMAL_AXIS = "-z"
 """A finger on a plate above an ATI sensor pushes the sensor down: Fz is negative under a press."""
 
 
+_NUMBER = {axis: number for number, axis in enumerate(NORMAL_AXES)}
+
+
+def opposite(normal_axis: str) -> str:
+    """The same axis with the other sign."""
+    return normal_axis.translate(str.maketrans("+-", "-+"))
+
+
 def axis_of(normal_axis: str) -> tuple[int, float]:
     """Index (0 x, 1 y, 2 z) and sign (±1) of a normal axis; raises InputError for another name."""
     if normal_axis not in NORMAL_AXES:
@@ -40,3 +48,29 @@ def lateral_force(force: np.ndarray, normal_axis: str) -> np.ndarray:
     first, second = lateral_axes(normal_axis)
     force = np.asarray(force, dtype=float)
     return np.hypot(force[..., first], force[..., second])
+
+
+def directed(force: np.ndarray) -> np.ndarray:
+    """Sum (6,) in N² of the squares of forces (n, 3) along each of NORMAL_AXES: presses outweigh
+    noise and offsets. Forces that are not finite are left out."""
+    finite = np.asarray(force, dtype=float)
+    finite = finite[np.isfinite(finite).all(axis=-1)]
+    along = np.stack([normal_force(finite, axis) for axis in NORMAL_AXES])
+    return (np.clip(along, 0.0, None) ** 2).sum(axis=1)
+
+
+def mostly_pulls(squares: np.ndarray, normal_axis: str) -> bool:
+    """Whether forces, `directed`, pull rather than press along the normal axis."""
+    return bool(squares[_NUMBER[opposite(normal_axis)]] > squares[_NUMBER[normal_axis]])
+
+
+def other_axis(squares: np.ndarray, normal_axis: str) -> str:
+    """Sentence on forces, `directed`, of which most lie along another axis; "" where they do
+    not."""
+    most = NORMAL_AXES[int(np.argmax(squares))]
+    if most == normal_axis:
+        return ""
+    return (
+        f"the force acts mostly along {most}, not along normal_axis {normal_axis}: give "
+        f"--normal-axis {most}, or tare the force"
+    )

@@ -4,7 +4,7 @@
 """Conventions of all commands: exit codes, error lines, help with an example.
 
 Exit codes: 0 done; 1 done, but a check it made fails or part of a file could not be
-read; 2 bad input; 130 ended by Ctrl-C.
+read; 2 bad input; 128 + n ended by signal n (130 Ctrl-C, 143 SIGTERM, 129 SIGHUP).
 """
 
 from __future__ import annotations
@@ -14,8 +14,11 @@ import errno
 import io
 import os
 import re
+import signal
 import sys
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, NoReturn
 
 from .errors import FingerError, nearest
@@ -39,6 +42,10 @@ _OUTSIDE = {
     errno.EIO,
 }
 """Errors of the operating system that no check before can exclude: bad input, no defect."""
+
+
+_PATHS = {"BAG", "CSV", "DIR", "FILE", "FIT", "IMAGE", "NPZ", "PNG", "VIEW", "YAML"}
+"""Metavars of arguments that name files or folders."""
 
 
 class Formatter(argparse.RawDescriptionHelpFormatter):
@@ -74,6 +81,14 @@ class Parser(argparse.ArgumentParser):
         """As in the base class; remembers what was given, for `error`."""
         self._given = list(sys.argv[1:] if args is None else args)
         return super().parse_known_args(args, namespace)
+
+    def _get_values(self, action: argparse.Action, arg_strings: list[str]) -> Any:
+        """As in the base class; refuses an empty name, as of a shell's variable that is not
+        set."""
+        if "" in arg_strings and (action.metavar in _PATHS or "--output" in action.option_strings):
+            text = "the name is empty; give one (is a variable of the shell not set?)"
+            raise argparse.ArgumentError(action, text)
+        return super()._get_values(action, arg_strings)  # type: ignore[misc]
 
     def format_usage(self) -> str:
         """What must be given; the options are listed below in the help."""
@@ -206,28 +221,69 @@ def print_to_nobody() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
+class _Signalled(BaseException):
+    """SIGTERM or SIGHUP, as `timeout`, Slurm, `docker stop` and a closed terminal send them."""
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+
+
+@contextmanager
+def _signals_raised() -> Iterator[None]:
+    """SIGTERM and SIGHUP raise _Signalled, so that no half-written file is left; signals that
+    somebody handles or ignores stay as they are."""
+    ended = [signal.SIGTERM, signal.SIGHUP]
+    if threading.current_thread() is not threading.main_thread():
+        ended = []  # Python sets handlers in the main thread only
+    ended = [number for number in ended if signal.getsignal(number) is signal.SIG_DFL]
+
+    def end(number: int, frame: Any) -> None:
+        for other in ended:  # a second one must not break the clean-ups
+            signal.signal(other, signal.SIG_IGN)
+        if (pools := sys.modules.get("multiprocessing")) is not None:  # else there are none
+            for worker in pools.active_children():
+                worker.terminate()
+        raise _Signalled(number)
+
+    for number in ended:
+        signal.signal(number, end)
+    try:
+        yield
+    finally:
+        for number in ended:
+            signal.signal(number, signal.SIG_DFL)
+
+
 def run(
     main: Callable[[Sequence[str] | None], int | None], argv: Sequence[str] | None = None
 ) -> int:
     """Run a command's main function and return its exit code.
 
     A FingerError becomes one line on standard error and exit code 2, as does a file that the
-    operating system refuses (name too long, no right, disk full); Ctrl-C gives 130; a closed
-    pipe (as in `… | head`) ends quietly. Other exceptions are defects and keep their traceback.
+    operating system refuses (name too long, no right, disk full); Ctrl-C gives 130, SIGTERM 143;
+    a closed pipe (as in `… | head`) ends quietly. Other exceptions are defects and keep their
+    traceback.
 
     Example: ``sys.exit(run(main))``.
     """
     name = os.path.basename(sys.argv[0]) or "finger"
+    for stream in ("stdout", "stderr"):
+        if getattr(sys, stream) is None:  # closed by the caller, as by >&-
+            setattr(sys, stream, open(os.devnull, "w"))
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # file names need not be text
     try:
         try:
-            return main(argv) or 0
+            with _signals_raised():
+                return main(argv) or 0
         finally:  # also of --help
             try:
                 print(end="", flush=True)
             except BrokenPipeError:
                 print_to_nobody()
+            except OSError as error:
+                print_to_nobody()
+                raise OSError(error.errno, error.strerror, "standard output") from None
     except FingerError as error:
         print(f"{name}: {one_line(error)}", file=sys.stderr)
         return EXIT_BAD_INPUT
@@ -237,9 +293,12 @@ def run(
             return 0
         if error.errno not in _OUTSIDE:
             raise
-        where = f"{plain(error.filename, 200)}: " if error.filename else ""
-        print(f"{name}: {where}{error.strerror}; check name, rights and disk", file=sys.stderr)
+        where = plain(error.filename, 200) if error.filename else "a file that it writes"
+        print(f"{name}: {where}: {error.strerror}; check name, rights and disk", file=sys.stderr)
         return EXIT_BAD_INPUT
     except KeyboardInterrupt:
         print(f"{name}: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
+    except _Signalled as error:
+        print(f"{name}: ended by {signal.Signals(error.number).name}", file=sys.stderr)
+        return 128 + error.number

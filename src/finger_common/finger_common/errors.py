@@ -15,6 +15,10 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from typing import Any
+
+TWICE = "'{}' is there twice; keep one"
+"""Of a name, of which the later value would silently replace the first."""
 
 
 class FingerError(Exception):
@@ -49,6 +53,13 @@ def check_type(value: object, kind: type, name: str) -> None:
     """Raise InputError, with the name, for a value of another type."""
     if not isinstance(value, kind):
         raise InputError(f"{name} is of type {type(value).__name__}; give a {kind.__name__}")
+
+
+def put_once(found: dict[str, Any], name: str, value: Any, where: str) -> None:
+    """Add a named value; raises InputError, naming `where`, for one that is there already."""
+    if name in found:
+        raise InputError(f"{where}: {TWICE.format(name)}")
+    found[name] = value
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:

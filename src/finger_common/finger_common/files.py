@@ -33,7 +33,7 @@ from typing import IO, TYPE_CHECKING, Any, NoReturn, TypeVar
 import numpy as np
 import yaml
 
-from .errors import InputError
+from .errors import TWICE, InputError
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -70,6 +70,7 @@ NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _PIECE = 1 << 20
 
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the same, ten times as fast
+_JSON_TOKEN = re.compile(r'(?P<text>"(?:[^"\\]|\\.)*")\s*(?P<colon>:)?|(?P<brace>[{}])', re.DOTALL)
 _NUMBER = re.compile(r"[-+.]?[0-9][-+0-9a-zA-Z_.:]*")
 
 
@@ -105,35 +106,36 @@ def atomic_write(
         target = Path(os.path.realpath(path))  # a link stays one
     except ValueError:  # a null byte, a lone surrogate
         raise InputError(f"{str(path)!r}: not a file name; choose another") from None
+    # What is no file, such as /dev/null, is written to: root could replace it by a file.
     device = exists(target) and not target.is_file()
+    written = str(target)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         if not device:
-            handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+            handle, written = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
             os.close(handle)
     except OSError as error:
         raise InputError(
             f"{path}: cannot be written ({error.strerror}); choose a writable folder"
         ) from None
-    if device:  # such as /dev/null: root could replace it by a file
-        with open(target, mode, **options) as file:
-            yield file
-        return
     try:
-        with open(temporary, mode, **options) as file:
+        with open(written, mode, **options) as file:
             yield file
-            if durable:
+            if durable and not device:
                 file.flush()
                 os.fsync(file.fileno())
+        if device:
+            return
         umask = os.umask(0)
         os.umask(umask)
-        os.chmod(temporary, 0o666 & ~umask)
-        os.replace(temporary, target)
+        os.chmod(written, 0o666 & ~umask)
+        os.replace(written, target)
         if durable:
             _sync_folder(target.parent)
     except BaseException as error:
-        with suppress(OSError):
-            Path(temporary).unlink()
+        if not device:
+            with suppress(OSError):
+                Path(written).unlink()
         if isinstance(error, OSError) and error.errno in NO_ROOM:
             raise InputError(
                 f"{path}: cannot be written ({error.strerror}); make room or choose another folder"
@@ -141,13 +143,29 @@ def atomic_write(
         raise
 
 
-def check_output(output: str | Path | None, inputs: Iterable[str | Path | None]) -> None:
-    """Raise InputError for an output that is one of the files a command reads."""
-    if output is None or not exists(output):
-        return
-    for path in inputs:
-        if path is not None and exists(path) and os.path.samefile(path, output):
+def check_outputs(
+    outputs: Iterable[str | Path | None], inputs: Iterable[str | Path | None]
+) -> None:
+    """Raise InputError for an output that is one of the files a command reads, or is or lies in
+    another output; None and "" are none, devices may take several."""
+    read = [path for path in inputs if path and exists(path)]
+    written: dict[Path, str | Path] = {}
+    for output in [path for path in outputs if path]:
+        if exists(output) and any(os.path.samefile(path, output) for path in read):
             raise InputError(f"{output}: is an input too and would be lost; name another output")
+        try:
+            real = Path(os.path.realpath(output))
+        except ValueError:  # refused when it is opened
+            continue
+        if exists(real) and not real.is_file() and not real.is_dir():
+            continue
+        for other, name in written.items():
+            if real == other:
+                raise InputError(f"{output}: is named for two outputs; give each its own name")
+            if other in real.parents or real in other.parents:
+                inner, outer = (output, name) if other in real.parents else (name, output)
+                raise InputError(f"{inner}: lies in the output {outer}; name another folder")
+        written[real] = output
 
 
 def exists(path: str | Path) -> bool:
@@ -252,9 +270,12 @@ def parse_yaml(text: str, where: str) -> dict[str, Any]:
 
 
 def _check_events(text: str, where: str) -> None:
-    """Refuse YAML that is too deep or too large once its aliases are followed."""
+    """Refuse YAML that has a key twice, or is too deep or too large once its aliases are
+    followed."""
     sizes: dict[str, int] = {}  # values below an anchor; absent while it is open
     opened: list[tuple[str | None, int]] = []  # anchor, values before it
+    keys: list[set[str] | None] = []  # of what is open; None for a sequence
+    key_next: list[bool] = []
     values = 0
 
     def refuse(event: Any, reason: str) -> NoReturn:
@@ -263,18 +284,28 @@ def _check_events(text: str, where: str) -> None:
     for event in yaml.parse(text, Loader=_LOADER):
         if isinstance(event, yaml.CollectionEndEvent):
             anchor, before = opened.pop()
+            del keys[-1], key_next[-1]
             if anchor:
                 sizes[anchor] = values - before
             continue
         if not isinstance(event, yaml.NodeEvent):
             continue
         before, values = values, values + 1
+        if keys and (known := keys[-1]) is not None:
+            if key_next[-1] and isinstance(event, yaml.ScalarEvent):
+                # Of several '<<', the merge of YAML, none replaces another.
+                if event.value in known and event.value != "<<":
+                    refuse(event, TWICE.format(event.value))
+                known.add(event.value)
+            key_next[-1] = not key_next[-1]
         if isinstance(event, yaml.AliasEvent):
             if event.anchor is None or event.anchor not in sizes:
                 refuse(event, f"alias '{event.anchor}' refers to itself or to nothing; remove it")
             values += sizes[event.anchor]
         elif isinstance(event, yaml.CollectionStartEvent):
             opened.append((event.anchor, before))
+            keys.append(set() if isinstance(event, yaml.MappingStartEvent) else None)
+            key_next.append(True)
             if len(opened) > MAXIMUM_DEPTH:
                 refuse(event, "YAML nested too deeply; flatten it")
         elif isinstance(event, yaml.ScalarEvent):
@@ -288,17 +319,47 @@ def _check_events(text: str, where: str) -> None:
 
 
 def parse_json(text: str, where: str) -> Any:
-    """Value from JSON text; raises InputError naming `where`."""
+    """Value from JSON text; raises InputError naming `where` and, for a key that an object has
+    twice, the line."""
     if len(text) > MAXIMUM_TEXT:
         raise InputError(f"{where}: more than {MAXIMUM_TEXT} characters; not read")
+
+    def of_pairs(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        if len(found := dict(pairs)) < len(pairs):
+            raise _KeyTwice
+        return found
+
     try:
-        data = json.loads(text)
+        data = json.loads(text, object_pairs_hook=of_pairs)
+    except _KeyTwice:
+        key, line = _key_twice(text)
+        raise InputError(f"{where}, line {line}: {TWICE.format(key)}") from None
     except RecursionError:
         raise InputError(f"{where}: JSON nested too deeply; flatten it") from None
     except ValueError as error:
         raise InputError(f"{where}: not valid JSON ({error}); correct it") from None
     _check_values(data, where)
     return data
+
+
+class _KeyTwice(Exception):
+    pass
+
+
+def _key_twice(text: str) -> tuple[str, int]:
+    """The first key that an object of JSON text has twice, and the line where it comes again."""
+    opened: list[set[str]] = []
+    for token in _JSON_TOKEN.finditer(text):
+        if token["brace"] == "{":
+            opened.append(set())
+        elif token["brace"]:
+            opened.pop()
+        elif token["colon"]:
+            key = json.loads(token["text"])
+            if key in opened[-1]:
+                return key, text.count("\n", 0, token.start()) + 1
+            opened[-1].add(key)
+    raise AssertionError("no key is there twice")
 
 
 def _check_values(data: Any, where: str) -> None:

@@ -11,6 +11,7 @@ ROS here; `finger_common.node` declares a table on an rclpy node.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,6 +19,9 @@ from typing import Any
 from .errors import InputError, known_names
 
 _TYPES = {bool: "boolean", int: "integer", float: "number", str: "text", list: "list"}
+
+_EXPONENT = re.compile(r"[-+]?[0-9]+[eE][-+]?[0-9]+")
+"""Numbers such as 1e6, which YAML 1.1 reads as text."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +50,8 @@ class Parameter:
         """
         kind = type(self.default)
         if kind is float and isinstance(value, int) and not isinstance(value, bool):
+            value = float(value)
+        if kind is float and isinstance(value, str) and _EXPONENT.fullmatch(value):
             value = float(value)
         if kind is list:
             value = (

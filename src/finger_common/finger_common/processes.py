@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -52,6 +53,8 @@ def begin_worker() -> None:
     parent = multiprocessing.parent_process()
     if parent is None:
         return
+    for number in (signal.SIGTERM, signal.SIGHUP):  # a fork took the parent's handlers over
+        signal.signal(number, signal.SIG_DFL)
 
     def wait() -> None:
         parent.join()

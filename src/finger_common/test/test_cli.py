@@ -6,14 +6,17 @@
 from __future__ import annotations
 
 import os
+import shlex
+import signal
 import subprocess
 import sys
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
-from finger_common.cli import Parser, add_settings, settings_from
+from finger_common.cli import Parser, add_settings, run, settings_from
 from finger_common.errors import InputError, known_names, listed
 from finger_common.folder_lock import lock_folder
 from finger_common.progress import Stages, duration_text
@@ -122,6 +125,81 @@ def test_usage_names_what_must_be_given_and_leaves_the_options_to_the_list() -> 
     assert text.splitlines()[0] == "usage: tool [options] -o OUTPUT bag [bag ...]"
     assert "--option-11" in text and text.endswith("example:\n  tool a.bag\n")
     assert max(map(len, text.splitlines())) <= int(os.environ.get("COLUMNS", "80"))
+
+
+ENDED = """\
+import sys, time
+from concurrent.futures import ProcessPoolExecutor
+from finger_common.cli import run
+from finger_common.files import atomic_write
+from finger_common.processes import begin_worker
+def command(argv):
+    with atomic_write(argv[0]) as file, ProcessPoolExecutor(1, initializer=begin_worker) as pool:
+        file.write("half")
+        wait = pool.submit(time.sleep, 60)
+        while not wait.running():
+            time.sleep(0.01)
+        time.sleep(0.5)  # until the worker has begun
+        print("begun", flush=True)
+        wait.result()
+if __name__ == "__main__":
+    sys.exit(run(command, sys.argv[1:]))
+"""
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])
+def test_a_command_that_is_ended_leaves_no_half_written_file(
+    tmp_path: Path, number: signal.Signals, code: int
+) -> None:
+    """As by timeout, Slurm and docker stop, which end the processes of its pool too."""
+    child = subprocess.Popen(
+        [sys.executable, "-c", ENDED, str(tmp_path / "out")],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),  # nohup ignores SIGHUP
+    )
+    assert child.stdout is not None and child.stdout.readline() == "begun\n"
+    assert len(list(tmp_path.iterdir())) == 1
+    began = time.monotonic()
+    child.send_signal(number)
+    _, says = child.communicate(timeout=30)
+    assert child.returncode == code and says.endswith(f"ended by {number.name}\n")
+    assert time.monotonic() - began < 20.0 and not list(tmp_path.iterdir())
+
+
+def test_a_signal_that_is_ignored_stays_so() -> None:
+    """As SIGHUP under nohup."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        seen = run(lambda argv: int(signal.getsignal(signal.SIGHUP) == signal.SIG_IGN))
+        assert seen == 1 and signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+
+
+@pytest.mark.parametrize(("closed", "code"), [(">&-", 0), ("2>&-", 0), (">/dev/full", 2)])
+def test_a_closed_or_full_output_is_no_traceback(closed: str, code: int) -> None:
+    words = [sys.executable, "-c", PRINTING, "line"]
+    done = subprocess.run(
+        f"{shlex.join(words)} {closed}", shell=True, capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == code and "Traceback" not in done.stderr
+    assert ("standard output: No space left" in done.stderr) == (code == 2)
+
+
+@pytest.mark.parametrize("given", [["", "-o", "x"], ["a", "-o", ""], ["a", "--table="]])
+def test_an_empty_name_is_refused(given: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    parser = Parser(prog="tool")
+    parser.add_argument("bags", nargs="+", metavar="BAG")
+    parser.add_argument("-o", "--output")
+    parser.add_argument("--table", metavar="CSV")
+    parser.add_argument("--namespace")
+    assert parser.parse_args(["a", "--namespace", ""]).namespace == ""
+    with pytest.raises(SystemExit) as end:
+        parser.parse_args(given)
+    assert end.value.code == 2 and "the name is empty; give one" in capsys.readouterr().err
 
 
 @dataclass(frozen=True)

@@ -76,6 +76,62 @@ def test_a_device_without_end_is_not_read_to_the_limit_of_files(
         read_csv("/dev/zero", ["time_s"])
 
 
+def test_a_device_that_is_full_is_named() -> None:
+    with pytest.raises(InputError, match=r"/dev/full: cannot be written \(No space left"):
+        with files.atomic_write("/dev/full") as file:
+            file.write("text")
+
+
+@pytest.mark.parametrize(
+    ("outputs", "says"),
+    [
+        (["p.csv", "./p.csv"], "./p.csv: is named for two outputs"),
+        (["p.csv", None, "", "link"], "link: is named for two outputs"),
+        (["bag", "bag/table.csv"], "bag/table.csv: lies in the output bag"),
+        (["bag/in/table.csv", "bag"], "bag/in/table.csv: lies in the output bag"),
+        (["new.csv", "input.csv"], "input.csv: is an input too"),
+    ],
+)
+def test_an_output_that_would_replace_another_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, outputs: list[str], says: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("input.csv").touch()
+    Path("link").symlink_to("p.csv")
+    with pytest.raises(InputError, match=says):
+        files.check_outputs(outputs, ["input.csv", "", None])
+    files.check_outputs(["p.csv", "q.csv", "bags", "/dev/null", "/dev/null"], ["input.csv"])
+
+
+@pytest.mark.parametrize(
+    ("text", "where"),
+    [
+        ("a: 1\nb: 2\na: 3\n", "line 3: 'a'"),
+        ("a: 1\n'a': 3\n", "line 2: 'a'"),
+        ("sets:\n  - {E0: 1, E1: 2,\n     E0: 3}\n", "line 3: 'E0'"),
+        ("/n: {ros__parameters: {rate: 1}}\n/n: {ros__parameters: {rate: 2}}\n", "line 2: '/n'"),
+    ],
+)
+def test_a_yaml_key_that_is_there_twice_is_refused(text: str, where: str) -> None:
+    with pytest.raises(InputError, match=f"f.yaml, {where} is there twice; keep one"):
+        files.parse_yaml(text, "f.yaml")
+
+
+def test_one_key_in_several_mappings_is_read() -> None:
+    """As in parameter files of ROS; a merge fills in what is not there."""
+    text = "a: &a {x: 1, y: a}\nb: {<<: *a, y: {x: x, a: [x, x, {x: 1}]}}\nx: [{a: 1}, {a: 2}]\n"
+    found = files.parse_yaml(text, "f.yaml")
+    assert found["b"] == {"x": 1, "y": {"x": "x", "a": ["x", "x", {"x": 1}]}}
+    assert found["x"] == [{"a": 1}, {"a": 2}]
+
+
+def test_a_json_key_that_is_there_twice_is_refused() -> None:
+    once = '{"a": {"b": "{\\"a\\": 1}"}, "c": [{"a": 1},\n {"a": 2}]%s}'
+    assert files.parse_json(once % "", "f.json")["c"] == [{"a": 1}, {"a": 2}]
+    with pytest.raises(InputError, match=r"f\.json, line 3: 'c' is there twice; keep one"):
+        files.parse_json(once % ',\n"\\u0063" : 3', "f.json")
+
+
 def test_devices_pipes_and_links_stay_what_they_are(tmp_path: Path) -> None:
     """Root could replace /dev/null, on which a whole machine relies, by a file."""
     pipe, link, device = tmp_path / "pipe", tmp_path / "link", tmp_path / "device"

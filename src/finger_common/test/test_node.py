@@ -130,6 +130,40 @@ def test_shell_publishes_checks_parameters_reports_and_ends_cleanly(
     assert own and not [file for file in own if file.exists()]
 
 
+COMPILING = """
+import ctypes, time
+from finger_common.node import ManagedNode, main_of
+
+def compile_for_long():
+    # An exception in a callback of C is lost.
+    print("compiling", flush=True)
+    time.sleep(100)
+
+class Compiler(ManagedNode):
+    NAME = "compiler"
+    def configure(self):
+        done = ctypes.CFUNCTYPE(None)(compile_for_long)
+        done()
+        raise RuntimeError("no compiled object yet")
+
+main_of(Compiler)()
+"""
+
+
+def test_ctrl_c_that_a_compiler_swallows_ends_the_node_without_a_traceback(
+    ros_domain: int, process: Any, tmp_path: Path
+) -> None:
+    script = tmp_path / "compiler.py"
+    script.write_text(COMPILING)
+    child = process(script)
+    wait_for(lambda: "compiling" in child.output.read_text(), lambda: time.sleep(0.05))
+    child.send_signal(signal.SIGINT)
+    assert child.wait(30) == 0
+    said = child.output.read_text()
+    assert "configure was interrupted" in said
+    assert "Traceback" not in said and "KeyboardInterrupt" not in said
+
+
 def test_failed_configuration_leaves_the_node_up_to_try_again(
     observer: Any, process: Any, tmp_path: Path
 ) -> None:

@@ -28,7 +28,7 @@ from can.interfaces.socketcan import SocketcanBus
 from can.interfaces.udp_multicast import UdpMulticastBus
 from can.interfaces.udp_multicast.utils import pack_message, unpack_message
 
-from finger_common.errors import DeviceError, InputError
+from finger_common.errors import DeviceError, InputError, put_once
 from finger_common.settings import Settings, setting
 
 from .clock import receive_stamped, request_kernel_stamps
@@ -208,7 +208,7 @@ def parse_options(text: str) -> dict[str, Any]:
                 with contextlib.suppress(ValueError):
                     converted = kind(value)
                     break
-        options[key.strip()] = converted
+        put_once(options, key.strip(), converted, "can_options")
     return options
 
 

@@ -16,9 +16,8 @@ Everything is in SI: s, N, m², Pa.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,6 +29,8 @@ from finger_common.flags import AreaFlag
 from finger_common.stamps import NANOSECONDS
 from finger_model.finger import load_areas
 from finger_model.geometry import Geometry
+from finger_offline.force_history import force_before
+from finger_offline.held_areas import held_rows, held_text
 from finger_offline.trial_checks import (
     LARGEST_FORCE,
     LONGEST_PRESS,
@@ -39,7 +40,7 @@ from finger_offline.trial_checks import (
 )
 from finger_offline.trial_records import TrialRecord
 from finger_offline.trial_split import CONDITION, TrialSettings
-from finger_offline.unloaded import reached_force, unloaded_tare
+from finger_offline.unloaded import pressed_force, reached_force, unloaded_tare
 
 from .options import FitOptions
 from .problem import force_limit_of
@@ -69,7 +70,8 @@ REMEDIES = {
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """One press, or several one after the other, of which each is fitted as a trial of its own.
+    """One press, or several one after the other, of which each is fitted as a trial of its own, by
+    tissue that those before it may have left deformed.
 
     time (n,): s, or dates as NumPy and pandas have them; force (n,): normal force in N, tared,
     positive when the finger presses, from no contact on; area: gross contact area in m², (n,) with
@@ -102,15 +104,12 @@ class Trial:
         number: place in a list of trials, for messages; index: of the first press, where the trial
         has none. A single press keeps all samples; several are cut apart as those of a bag are.
         """
-        name = self.label or f"trial {number}"
-        force = _Signal.of(self, name, "force")
-        area = _Signal.of(self, name, "area", force.time)
-        indentation = _Signal(np.empty(0), np.empty(0))
-        if self.indentation is not None:
-            indentation = _Signal.of(self, name, "indentation", force.time)
-        starts = [s.time[0] for s in (force, area, indentation) if len(s.time)]
-        origin = min(float(min(starts)), 0.0)
-        stamps = _stamps(force.time, origin)
+        return self.presses(_each_area_once([_Signals.of(self, number)], [])[0], index)
+
+    def presses(self, signals: _Signals, index: int) -> list[TrialRecord]:
+        """`records` of the trial's own signals."""
+        name, force, area = signals.name, signals.force, signals.area
+        stamps = _stamps(force.time, signals.origin)
         settings = TrialSettings()
         touches = settings.presses(stamps, force.values)
         peaks = [float(force.values[first:end].max()) for first, end in touches]
@@ -123,7 +122,7 @@ class Trial:
             )
         first, end = touches[int(np.argmax(peaks))]
         span = (float(force.time[first]), float(force.time[min(end, len(stamps) - 1)]))
-        _check_units(name, span, peak, area.measured)
+        _check_units(name, span, peak, area)
         target = _scalar(self.target_force, f"{name}: target_force")
         if not 0.0 <= target <= peak:
             raise InputError(
@@ -136,40 +135,27 @@ class Trial:
         for place, n in enumerate(pressed):
             alone = len(pressed) == 1
             part = slice(0, len(stamps)) if alone else _about(touches, n, force.time)
-            own = _Signal(force.time[part], force.values[part])
-            ends = (-math.inf, math.inf) if alone else (own.time[0], own.time[-1])
-            records.append(
-                self._record(
-                    name,
-                    (given if given >= 0 else index) + place,
-                    origin,
-                    own,
-                    area.measured.within(*ends),
-                    indentation.measured.within(*ends),
-                    (touches[n][0] - part.start, touches[n][1] - part.start),
-                )
+            own = signals if alone else signals.within(part)
+            record = self._record(
+                own,
+                (given if given >= 0 else index) + place,
+                (touches[n][0] - part.start, touches[n][1] - part.start),
             )
+            history_ns, history = force_before(stamps, force.values, part.start)
+            records.append(replace(record, history_ns=history_ns, history=history))
         return records
 
-    def _record(
-        self,
-        name: str,
-        index: int,
-        origin: float,
-        force: _Signal,
-        seen: _Signal,
-        indented: _Signal,
-        press: tuple[int, int],
-    ) -> TrialRecord:
-        """Give one press, from its first sample to the first after it; origin: s, of the stamps."""
+    def _record(self, own: _Signals, index: int, press: tuple[int, int]) -> TrialRecord:
+        """Give one press, from its first sample to the first after it."""
+        name, force, seen, indented = own.name, own.force, own.area, own.indentation
         readings = _column(
             [] if self.moisture is None else self.moisture, f"{name}: moisture", True
         )
         subject = _code(self.subject, f"{name}: subject")
         condition = _code(self.condition, f"{name}: condition")
-        stamps = _stamps(force.time, origin)
+        stamps = _stamps(force.time, own.origin)
         first, end = press
-        peak = float(force.values[first:end].max())
+        peak = float(pressed_force(force.time, force.values)[first:end].max())
         touches = seen.values > 0
         smooth = smoothed(force.time, force.values, FitOptions.force_cutoff)
         rest = unloaded_tare(
@@ -186,7 +172,7 @@ class Trial:
             stamp_ns=stamps,
             force=force.values,
             lateral_force=np.zeros(len(stamps)),
-            area_stamp_ns=_stamps(seen.time, origin),
+            area_stamp_ns=_stamps(seen.time, own.origin),
             area=seen.values,
             area_sd=np.full(len(seen.values), np.nan),
             area_flags=np.where(touches, 0, int(AreaFlag.NO_CONTACT)),
@@ -196,7 +182,7 @@ class Trial:
             onset_ns=int(stamps[first]),
             liftoff_ns=int(stamps[end]) if end < len(stamps) else None,
             area_source="arrays",
-            indentation_stamp_ns=_stamps(indented.time, origin),
+            indentation_stamp_ns=_stamps(indented.time, own.origin),
             indentation=indented.values,
         )
         fault = fault_of(record) if len(indented.values) else None
@@ -248,6 +234,67 @@ class _Signal:
         """The part from start to end (s)."""
         kept = (self.time >= start) & (self.time <= end)
         return _Signal(self.time[kept], self.values[kept])
+
+
+@dataclass(frozen=True)
+class _Signals:
+    """What was measured in a trial, named for messages; origin: s, before which nothing was; area
+    and indentation: the part with values."""
+
+    name: str
+    origin: float
+    force: _Signal
+    area: _Signal
+    indentation: _Signal
+
+    @classmethod
+    def of(cls, trial: Trial, number: int) -> _Signals:
+        """Check the signals of a trial, at a place in a list; raises InputError."""
+        name = trial.label or f"trial {number}"
+        force = _Signal.of(trial, name, "force")
+        area = _Signal.of(trial, name, "area", force.time)
+        indentation = _Signal(np.empty(0), np.empty(0))
+        if trial.indentation is not None:
+            indentation = _Signal.of(trial, name, "indentation", force.time)
+        starts = [s.time[0] for s in (force, area, indentation) if len(s.time)]
+        origin = min(float(min(starts)), 0.0)
+        return cls(name, origin, force, area.measured, indentation.measured)
+
+    def within(self, part: slice) -> _Signals:
+        """The samples of the force in a part, and what was measured meanwhile."""
+        force = _Signal(self.force.time[part], self.force.values[part])
+        ends = force.time[0], force.time[-1]
+        return replace(
+            self,
+            force=force,
+            area=self.area.within(*ends),
+            indentation=self.indentation.within(*ends),
+        )
+
+
+def _each_area_once(found: Sequence[_Signals], notes: list[str]) -> list[_Signals]:
+    """The signals of one subject's trials with each area once, where a logger held them; notes gets
+    the number of those left out.
+
+    One press may be too short to tell by: the trials are looked at together.
+    """
+    begins = np.cumsum([0.0, *(s.force.time[-1] - s.force.time[0] + 1.0 for s in found)])
+    moves = [begin - s.force.time[0] for begin, s in zip(begins, found)]
+    held = held_rows(
+        np.concatenate([_stamps(s.area.time + m, 0.0) for s, m in zip(found, moves)]),
+        np.concatenate([s.area.values for s in found]),
+        np.concatenate([_stamps(s.force.time + m, 0.0) for s, m in zip(found, moves)]),
+        np.concatenate([s.force.values for s in found]),
+    )
+    if not held.any():
+        return list(found)
+    masks = np.split(~held, np.cumsum([len(s.area.time) for s in found])[:-1])
+    names = [s.name for s, kept in zip(found, masks) if not kept.all()]
+    notes.append(f"{listed(names, 3)}: {held_text(int(held.sum()))}")
+    return [
+        replace(s, area=_Signal(s.area.time[kept], s.area.values[kept]))
+        for s, kept in zip(found, masks)
+    ]
 
 
 def _about(touches: Sequence[tuple[int, int]], n: int, time: np.ndarray) -> slice:
@@ -305,12 +352,23 @@ def _column(values: Any, name: str, gaps: bool = False) -> np.ndarray:
 
 def _code(value: Any, name: str) -> str:
     """Code of a subject or name of a condition, which name files too; empty for a missing one."""
-    text = str(value)
+    text = str(value).strip()
     if value is None or (not isinstance(value, str) and text in _MISSING):
         return ""
     if not CONDITION.fullmatch(text):
         raise InputError(f"{name} {text[:40]!r} is no name of letters, digits, blanks and .,+()%-")
     return text
+
+
+def _check_spelling(names: Iterable[str]) -> None:
+    """Raise InputError for names of subjects or conditions that differ in case alone."""
+    spelled: dict[str, str] = {}
+    for name in names:
+        first = spelled.setdefault(name.casefold(), name)
+        if first != name:
+            raise InputError(
+                f"fit: '{name}' and '{first}' differ in case alone; write one name in one way"
+            )
 
 
 def _scalar(value: Any, name: str) -> Any:
@@ -540,21 +598,32 @@ def fit(
                 f"fit: trial {number} is of type {type(trial).__name__}; give a list of "
                 "Trial(time, force, area, …)"
             )
+    if not trials:
+        raise InputError("fit: no trial was given; give a list of Trial")
+    notes: list[str] = []
     records: list[TrialRecord] = []
     several = []
+    read = [_Signals.of(trial, number) for number, trial in enumerate(trials)]
+    of_subject: dict[str, list[int]] = {}
     for number, trial in enumerate(trials):
-        found = trial.records(number, len(records))
+        of_subject.setdefault(_code(trial.subject, f"{read[number].name}: subject"), []).append(
+            number
+        )
+    for numbers in of_subject.values():
+        for number, signals in zip(numbers, _each_area_once([read[n] for n in numbers], notes)):
+            read[number] = signals
+    for trial, signals in zip(trials, read):
+        found = trial.presses(signals, len(records))
         records += found
         if len(found) > 1:
-            several.append(f"{trial.label or f'trial {number}'} ({len(found)})")
-    if not records:
-        raise InputError("fit: no trial was given; give a list of Trial")
+            several.append(f"{signals.name} ({len(found)})")
+    for spelled in ("subject", "condition"):
+        _check_spelling(getattr(record, spelled) for record in records)
     conditions = (conditions,) if isinstance(conditions, str) else conditions
     result = fit_records(records, model, chosen, conditions)
     if several:
-        result.problems.insert(
-            0, f"several presses in {listed(several)}: each press is a trial of its own"
-        )
+        notes.append(f"several presses in {listed(several)}: each press is a trial of its own")
+    result.problems[:0] = notes
     changed = "".join(f", {name}={value!r}" for name, value in options.items())
     subjects = {}
     for name, part in result.subjects.items():

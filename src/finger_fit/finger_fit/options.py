@@ -32,6 +32,9 @@ RUN = "run"
 UNITS = {"Pa": MODULUS_UNITS, "s": TIME_UNITS}
 """Unit of a parameter -> units that its bounds may be given in."""
 
+MEMORY = 5.0
+"""Creep times after which tissue is at rest: it keeps exp(−5) of the strain."""
+
 _END = re.compile(r"\s*([-+.\deE]*[.\d])\s*([^\d\s]*)\s*")
 
 
@@ -216,6 +219,14 @@ class FitOptions(NuisancePriors):
                 )
             box[space.index(name)] = _span(text, span, space[name])
         return box
+
+    def memory(self, space: ParameterSpace) -> float:
+        """Time (s) before a press beyond which a force has no effect on it, for any parameters in
+        the box."""
+        return MEMORY * max(
+            (float(end[1]) for end, spec in zip(self.box(space), space) if spec.unit == "s"),
+            default=0.0,
+        )
 
     def target_of(self, record: Any) -> float:
         """Normal force (N) that ends the loading of a recorded trial: its own, where none is

@@ -23,8 +23,10 @@ import pytest
 from finger_common.errors import InputError
 from finger_common.flags import AreaFlag
 from finger_fit import Fit, Trial, fit
-from finger_fit.problem import AreaCorrection
+from finger_fit.options import FitOptions
+from finger_fit.problem import AreaCorrection, prepare
 from finger_fit.results import FitResult, contrasts
+from finger_fit.study import fit_records
 from finger_model.geometry import Geometry
 from finger_model.laws import ParameterSpace, ParameterSpec, law_of
 from finger_model.reduced.model import load_population
@@ -666,3 +668,105 @@ def test_one_condition_may_be_named_by_a_text(double: SimpleNamespace) -> None:
     assert fit(trials, model=double.HereditaryModel(), conditions="dry", **some).conditions == [
         "dry"
     ]
+
+
+def test_areas_that_a_logger_held_count_once(double: SimpleNamespace) -> None:
+    """Each area again in all rows up to the next frame, as `finger-bag import` finds it too."""
+    plain = trials_of(double, 4, condition="dry", subject="S01")
+    quick = {**QUICK, "bootstrap": 0, "profiles": False}
+    held = []
+    for trial in plain:
+        last = np.searchsorted(trial.area_time, trial.time, side="right") - 1
+        rows = np.flatnonzero(last >= 0)[::5]
+        area = np.asarray(trial.area)[last[rows]]
+        held.append(replace(trial, area=area, area_time=trial.time[rows]))
+    few = [len(t.area) for t in held]
+    found = fit(held, model=double.HereditaryModel(), **quick)
+    once = fit(plain, model=double.HereditaryModel(), **quick)
+    (note,) = (n for n in found.notes if "hold the area of the row before" in n)
+    assert "trial 0, trial 1" in note and int(note.split(": ")[1].split()[0]) > 0.7 * sum(few)
+    assert len(found.frames()["time_s"]) == len(once.frames()["time_s"])
+    assert found.parameters["composite_E"] == pytest.approx(
+        once.parameters["composite_E"], rel=0.02
+    )
+    known, other = (r.result.fits["dry"].covariance for r in (found, once))
+    assert known is not None and other is not None
+    assert known.data_deviation("E1") == pytest.approx(other.data_deviation("E1"), rel=0.5)
+    assert not any("hold the area" in n for n in once.notes)
+
+
+@pytest.mark.parametrize("rise", [0.06, 0.08, 0.1])
+def test_fast_presses_reach_their_own_target(double: SimpleNamespace, rise: float) -> None:
+    """The target is of the force without its noise, as it is checked."""
+    time = np.arange(0.0, 1.2, 0.002)
+    force = 2.0 * np.clip(np.minimum((time - 0.4) / rise, (0.4 + rise + 0.1 - time) / 0.1), 0, 1)
+    force += np.random.default_rng(0).normal(0.0, 0.003, len(force))
+    frames = np.arange(0, len(time), 5)
+    wanted = (time, np.maximum(force, 0.0), frames)
+    area = double.HereditaryModel().batch(double.TRUTH, [wanted])[0][0]
+    area[(time[frames] < 0.4) | (time[frames] > 0.5 + rise)] = 0.0
+    (record,) = Trial(time, force, area, time[frames], "dry").records(0, 0)
+    assert 0.6 * 2.0 < record.target_force < 0.95 * force.max()
+    assert len(prepare(record, FitOptions()).area) >= 3
+
+
+def test_labels_are_taken_without_blanks_and_in_one_case(double: SimpleNamespace) -> None:
+    quick = {**QUICK, "bootstrap": 0, "profiles": False}
+    model = double.HereditaryModel()
+    trials = trials_of(double, 5, condition="dry", subject="S01")
+    spelled = [*trials[:3], *(replace(t, condition=" dry ", subject="S01 ") for t in trials[3:])]
+    found = fit(spelled, model=model, **quick)
+    assert found.conditions == ["dry"] and not found.subjects
+    assert len(found.result.fits["dry"].problem) == 5
+    for change in ({"condition": "Dry"}, {"subject": "s01"}):
+        other = [*trials[:4], replace(trials[4], **change)]
+        with pytest.raises(InputError, match="differ in case alone; write one name in one way"):
+            fit(other, model=model, **quick)
+
+
+def test_contrasts_cover_what_differs_where_estimates_lie_on_bounds(
+    double: SimpleNamespace,
+) -> None:
+    """Few noisy presses: a parameter on a bound is not known, and neither is what depends on it."""
+    truth = {
+        "dry": np.array([120e3, 38.56e3, 0.2, 1452e3]),
+        "wet": np.array([110e3, 18e3, 0.05, 900e3]),
+    }
+    space = double.HereditaryModel.space
+    options = FitOptions(
+        full_order=False, bootstrap=0, bias_pairs=0, grid=3, rounds=3, profiles=False
+    )
+    covered: dict[str, list[bool]] = {}
+    for seed in range(500, 530):
+        rng = np.random.default_rng(seed)
+        records = [
+            double.make_record(i, rng.uniform(0.4, 2.0), 3e-6, rng, condition=name, truth=own)
+            for name, own in truth.items()
+            for i in range(4)
+        ]
+        result = fit_records(records, double.HereditaryModel(), options)
+        bounds = [f.covariance.active for f in result.fits.values() if f.covariance is not None]
+        for c in result.contrasts:
+            one, other = (space.quantity(c.quantity, truth[n]) for n in ("dry", "wet"))
+            hit = c.ratio_95[0] <= one / other <= c.ratio_95[1]
+            if any(bounds):
+                covered.setdefault(c.quantity, []).append(bool(hit))
+    assert min(map(len, covered.values())) > 20
+    shares = {name: float(np.mean(hits)) for name, hits in covered.items()}
+    assert min(shares.values()) >= 0.9, shares
+
+
+def test_a_covariance_without_active_bounds_is_released_unchanged(study: FitResult) -> None:
+    for fitted in study.fits.values():
+        found = fitted.covariance
+        assert found is not None
+        if not found.active:
+            assert found.released(fitted.problem.box) is found
+            continue
+        free = found.released(fitted.problem.box)
+        low, high = fitted.space.to_log(fitted.problem.box.T)
+        for name in fitted.space.quantity_names:
+            assert free.data_deviation(name) > 0.0
+        for name in found.active:
+            width = (high - low)[fitted.space.index(name)]
+            assert free.data_deviation(name) <= width

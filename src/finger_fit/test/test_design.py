@@ -275,3 +275,22 @@ def test_a_press_that_shows_no_frame_is_refused(double) -> None:
         ((name, plan),) = plans_of("quick:shortest=0.1,longest=0.1,frame_rate=4")
         assert name == "quick"
         expected(plan, double.HereditaryModel(), double.TRUTH)
+
+
+def test_a_setting_that_is_there_twice_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="'presses' is there twice; keep one"):
+        plans_of("x:presses=5,presses=500")
+    file = tmp_path / "plan.yaml"
+    file.write_text("presses: 5\npresses: 500\n")
+    with pytest.raises(InputError, match="line 2: 'presses' is there twice; keep one"):
+        plans_of(str(file))
+
+
+def test_a_number_with_an_exponent_is_a_number(tmp_path: Path) -> None:
+    """YAML 1.1 reads 1e6 as text."""
+    file = tmp_path / "plan.yaml"
+    file.write_text("peak: 1e6\n")
+    with pytest.raises(InputError, match=r"'peak' is 1000000\.0, outside 0\.2 … 10 N"):
+        plans_of(str(file))
+    file.write_text("peak: 2e0\n")
+    assert plans_of(str(file))[0][1].peak == 2.0

@@ -8,14 +8,16 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from finger_bag.writer import BagWriter
 from finger_common.errors import InputError
+from finger_fit import Trial, fit
 from finger_fit.options import FitOptions
-from finger_fit.problem import TrialRejected, prepare, prepare_all
+from finger_fit.problem import TrialRejected, prepare, prepare_all, trial_outputs
 from finger_fit.problem.moisture import best_division, moisture_clusters
 from finger_fit.study import fit_bags, group_trials
 from finger_fit.study.bags import load, reading
@@ -377,3 +379,58 @@ def test_options_from_json_name_the_unknown_key() -> None:
         FitOptions.from_json('{"round": 7}')
     with pytest.raises(InputError, match="JSON"):
         FitOptions.from_json("[1")
+
+
+def presses(double: SimpleNamespace, rest: float, noise: float = 0.0) -> Trial:
+    """Five presses of one force signal, with rests (s) between, areas of the stand-in."""
+    rng = np.random.default_rng(0)
+    corners, levels = [0.0, 0.5], [0.0, 0.0]
+    for _ in range(5):
+        corners += list(corners[-1] + np.cumsum([rng.uniform(0.4, 1.2), 0.1, rest]))
+        levels += [1.5, 0.0, 0.0]
+    time = np.arange(0.0, corners[-1] + 0.5, 0.002)
+    force = np.interp(time, corners, levels)
+    frames = np.arange(25, len(time), 50)
+    (area,) = double.HereditaryModel().batch(double.TRUTH, [(time, force, frames)])
+    touched = force[frames] > 0
+    area = np.where(touched, np.maximum(area[0] + noise * rng.normal(size=len(frames)), 1e-9), 0.0)
+    return Trial(time, force, area, time[frames], condition="dry", target_force=1.4)
+
+
+def test_a_press_after_a_short_rest_remembers_the_presses_before(double: SimpleNamespace) -> None:
+    """Tissue that has not recovered has a larger area. What is compared stays the same."""
+    options, model = FitOptions(), double.HereditaryModel()
+    memory = options.memory(model.space)
+    assert memory == pytest.approx(5 * 0.8)
+
+    def worst(trials: list[Any]) -> float:
+        found = trial_outputs(model, double.TRUTH[None], trials)
+        return max(float(np.abs(a[0] / t.area - 1.0).max()) for a, t in zip(found, trials))
+
+    records = presses(double, 0.3).records(0, 0)
+    known, excluded = prepare_all(records, options, memory)
+    alone, _ = prepare_all(records, options)
+    assert not excluded and len(known) == 5
+    assert worst(known) < 0.02 and worst(alone) > 0.2
+    for trial, other in zip(known, alone):
+        assert np.array_equal(trial.time, other.time) and np.array_equal(trial.force, other.force)
+        assert np.array_equal(trial.frames, other.frames)
+        assert (len(trial.drive.before_time) > 0) == (trial.index > 0)
+        assert len(trial.drive.before_time) <= 3 + memory / 0.05, "thinned"
+    # What is over for long has no effect, and costs nothing.
+    rested, _ = prepare_all(presses(double, memory + 0.1).records(0, 0), options, memory)
+    assert not any(len(t.drive.before_time) for t in rested)
+    separate = [replace(r, history_ns=r.history_ns[:0], history=r.history[:0]) for r in records]
+    assert not any(len(t.drive.before_time) for t in prepare_all(separate, options, memory)[0])
+
+
+def test_presses_with_short_rests_give_the_moduli_of_the_finger(double: SimpleNamespace) -> None:
+    quick = {"full_order": False, "bootstrap": 0, "bias_pairs": 0, "grid": 3, "rounds": 5}
+    result = fit(presses(double, 0.2, 0.2e-6), model=double.HereditaryModel(), **quick)
+    true = double.composite(double.TRUTH)
+    low, high = result.data_intervals["composite_E"]
+    assert low < true < high and high < 1.3 * low
+    assert result.parameters["composite_E"] == pytest.approx(true, rel=0.05)
+    # Clocks agree, which the areas of a finger at rest would not show.
+    lags = np.array([t.lag for t in result.result.fits["dry"].quality.trials])
+    assert np.nanmax(np.abs(lags)) < 0.02 and np.isfinite(lags).sum() > 2

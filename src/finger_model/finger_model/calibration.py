@@ -3,7 +3,7 @@
 
 """Calibrate a subject: from a few presses under the camera to the finger's own `prior`.
 
-    model, lengths = subject_model(load_online(), estimate_geometry(0.017, 0.011))
+    model, lengths = subject_model(load_reduced(), estimate_geometry(0.017, 0.011))
     found = calibrate(model, ParameterSets.default(), presses, moisture=64.0, lengths=lengths)
     found.sets.save("subjects/S01.yaml")
 
@@ -35,7 +35,7 @@ from .anthropometry import GeometryEstimate
 from .estimator import EstimatorSettings, members
 from .estimator.neighbourhood import Neighbourhood
 from .estimator.parameter_selection import check_sets, select_parameters
-from .finger import load_online
+from .finger import load_reduced
 from .finger_prior import COORDINATES, FingerPrior
 from .geometry import Geometry
 from .parameter_sets import ParameterSets
@@ -215,7 +215,7 @@ def subject_model(
         fitted = f"{calipers.measured}: not used, the parameters in use are of one finger's lengths"
         return model, Lengths(note=fitted)
     try:
-        own = load_online(geometry_file=calipers.geometry)
+        own = load_reduced(geometry_file=calipers.geometry)
     except InputError:
         outside = f"{calipers.measured}: outside the population box; lengths of the finger in use"
         return model, Lengths(note=outside)

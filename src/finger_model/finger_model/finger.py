@@ -27,30 +27,21 @@ def load_reduced(
 ) -> ReducedModel:
     """The reduced model of a finger; without files that of the default geometry.
 
-    geometry_file: geometry.yaml or its content, of any finger of the population box or, with
-    model_file, of the finger that the file was made for. Raises InputError for files that are
-    wrong or do not belong together, and for a finger outside the box.
+    model_file: may be POPULATION. geometry_file: geometry.yaml or its content, of any finger of the
+    population box or, with a file of a model, of the finger that it was made for. Raises InputError
+    for files that are wrong or do not belong together, and for a finger outside the box.
     """
     return ReducedModel.load(model_file or None, _geometry(geometry_file))
-
-
-def load_online(
-    model_file: str | Path = "", geometry_file: str | Path | Geometry = ""
-) -> ReducedModel:
-    """As `load_reduced`, for estimates while running, which cannot know how hard the finger will be
-    pressed: for the default finger, too, the model of the population box, which reaches 10 N."""
-    model = load_reduced(model_file, geometry_file)
-    return load_population(model.geometry) if model.gives_way and not model_file else model
 
 
 def load_for(
     sets: ParameterSets, model_file: str | Path = "", geometry_file: str | Path = ""
 ) -> ReducedModel:
-    """As `load_online`, for the finger whose lengths the sets hold.
+    """As `load_reduced`, for the finger whose lengths the sets hold.
 
     Raises InputError too where a file names another finger.
     """
-    return model_for(sets, load_online(model_file, geometry_file), model_file, geometry_file)
+    return model_for(sets, load_reduced(model_file, geometry_file), model_file, geometry_file)
 
 
 def model_for(
@@ -68,7 +59,7 @@ def model_for(
             f"{sets.where}: holds the lengths of another finger ({sets.geometry_hash[:8]}) than "
             f"{geometry_file or model_file} ({model.geometry_hash[:8]}); leave one of the two out"
         )
-    return load_online(model_file, own)
+    return load_reduced(model_file, own)
 
 
 def _geometry(source: str | Path | Geometry) -> Geometry | None:

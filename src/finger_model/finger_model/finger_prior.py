@@ -11,8 +11,11 @@
       misfit_sd: 0.02     # of ln area: what these five cannot describe of the finger
       moisture_sd: 22.0   # a.u., of a finger without reading
       reading_sd: 3.0     # a.u., of a reading
-      peak_mean: 0.15     # of ln (peak over mean pressure), less the model's; may be absent
-      peak_sd: 0.19       # of the same; may be absent
+      walk_sd: 0.08       # of ln area, by which it strays over an e-fold of force above 1.35 N,
+                          # beside these five; may be absent
+      peak_mean: [0, …]   # (5,) of ln (peak over mean pressure), less the model's, at PEAK_FORCES;
+                          # or one number for all forces; may be absent
+      peak_sd: [0.1, …]   # of the same
 
 gain and slope: of ln A over ln F; stiffness, time, creep: of the material parameters, see
 `estimator.members`. Without this key the sets' covariances and the estimator's settings serve.
@@ -31,6 +34,11 @@ from finger_common.files import number
 
 COORDINATES = ("gain", "slope", "stiffness", "time", "creep")
 
+PEAK_FORCES = (0.15, 0.5, 1.35, 3.5, 9.0)
+"""N, at which the peak over mean pressure is given; linear in ln F between them."""
+NO_PEAK = (0.0,) * len(PEAK_FORCES)
+"""Of a finger whose peak is the model's."""
+
 
 @dataclass(frozen=True)
 class FingerPrior:
@@ -41,8 +49,9 @@ class FingerPrior:
     misfit_sd: float
     moisture_sd: float
     reading_sd: float
-    peak_mean: float = 0.0
-    peak_sd: float = 0.0
+    walk_sd: float = 0.0
+    peak_mean: tuple[float, ...] = NO_PEAK
+    peak_sd: tuple[float, ...] = NO_PEAK
 
     def to_dict(self) -> dict[str, Any]:
         """As the key `prior` of parameters.yaml."""
@@ -52,12 +61,14 @@ class FingerPrior:
             "misfit_sd": self.misfit_sd,
             "moisture_sd": self.moisture_sd,
             "reading_sd": self.reading_sd,
-            **{name: value for name, value in self._peak().items() if value},
+            **self._later(),
         }
 
-    def _peak(self) -> dict[str, float]:
+    def _later(self) -> dict[str, Any]:
         """What earlier files do not have."""
-        return {"peak_mean": self.peak_mean, "peak_sd": self.peak_sd}
+        peaks = {"peak_mean": self.peak_mean, "peak_sd": self.peak_sd}
+        found: dict[str, Any] = {"walk_sd": self.walk_sd} if self.walk_sd else {}
+        return found | {name: list(values) for name, values in peaks.items() if any(values)}
 
     @classmethod
     def parse(cls, data: Any, where: str) -> FingerPrior:
@@ -82,8 +93,34 @@ class FingerPrior:
                 f"{where}: 'covariance' of 'prior' is not a covariance (finite, symmetric, no "
                 "negative variance); correct it"
             )
-        rest = [number(data, name, where) for name in ("misfit_sd", "moisture_sd", "reading_sd")]
-        peak = {n: number(data, n, where) for n in ("peak_mean", "peak_sd") if n in data}
-        if min(*rest, peak.get("peak_sd", 0.0)) < 0:
+        misfit_sd, moisture_sd, reading_sd = (
+            number(data, name, where) for name in ("misfit_sd", "moisture_sd", "reading_sd")
+        )
+        walk_sd = number(data, "walk_sd", where) if "walk_sd" in data else 0.0
+        peak_mean, peak_sd = (
+            _by_force(data, name, where) if name in data else NO_PEAK
+            for name in ("peak_mean", "peak_sd")
+        )
+        if min(misfit_sd, moisture_sd, reading_sd, walk_sd, *peak_sd) < 0:
             raise InputError(f"{where}: a deviation of 'prior' is negative; correct it")
-        return cls(tuple(mean.tolist()), tuple(map(tuple, covariance.tolist())), *rest, **peak)
+        return cls(
+            tuple(mean.tolist()),
+            tuple(map(tuple, covariance.tolist())),
+            misfit_sd,
+            moisture_sd,
+            reading_sd,
+            walk_sd,
+            peak_mean,
+            peak_sd,
+        )
+
+
+def _by_force(data: dict[str, Any], key: str, where: str) -> tuple[float, ...]:
+    """Numbers at PEAK_FORCES, where one number is that of all of them."""
+    values, n = data[key], len(PEAK_FORCES)
+    if not isinstance(values, list):
+        values = n * [values]
+    if len(values) != n:
+        forces = ", ".join(f"{force:g}" for force in PEAK_FORCES)
+        raise InputError(f"{where}: '{key}' needs one number, or {n}: at {forces} N; correct it")
+    return tuple(number({key: value}, key, where) for value in values)

@@ -17,6 +17,12 @@ from finger_common.columns import column
 from finger_common.errors import InputError
 from finger_common.files import read_csv
 
+LATEST_TIME = 1e10
+"""s, 300 years: beyond the seconds since 1970, and a float tells microseconds apart."""
+
+SMALLEST_FORCE = 1e-12
+"""N; smaller forces are no contact: their areas are rounding."""
+
 CSV_HEADER = "time_s,force_n,area_mm2,radius_mm,indentation_mm,peak_pressure_kpa"
 
 
@@ -97,9 +103,11 @@ def radius_to_area(radius: float) -> float:
 def check_force_history(
     time: Any, force: Any, where: str = "force history"
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Time (n,) in s and force (n,) in N as float arrays, of what `column` takes.
+    """Time (n,) in s and force (n,) in N as float arrays, of what `column` takes; forces below
+    SMALLEST_FORCE are zero.
 
-    Raises InputError for empty, unequal or non-finite arrays and for time that does not increase.
+    Raises InputError for empty, unequal or non-finite arrays, for time that does not increase, and
+    for times beyond ±LATEST_TIME.
     """
     time, force = column(time, f"{where}: time"), column(force, f"{where}: force")
     if time.shape != force.shape or not len(time):
@@ -110,6 +118,12 @@ def check_force_history(
         bad = np.flatnonzero(~np.isfinite(values))
         if len(bad):
             raise InputError(f"{where}: {name} in row {bad[0] + 1} is not finite; remove the row")
+    bad = np.flatnonzero(np.abs(time) > LATEST_TIME)
+    if len(bad):
+        raise InputError(
+            f"{where}: time in row {bad[0] + 1} is {time[bad[0]]:g} s; give times in seconds, "
+            f"within ±{LATEST_TIME:g} s"
+        )
     bad = np.flatnonzero(np.diff(time) <= 0)
     if len(bad):
         row = int(bad[0]) + 1
@@ -117,7 +131,7 @@ def check_force_history(
             f"{where}: time does not increase from row {row} ({time[row - 1]:g} s) to row "
             f"{row + 1} ({time[row]:g} s); sort the rows and remove repeated times"
         )
-    return time, force
+    return time, np.where(np.abs(force) < SMALLEST_FORCE, 0.0, force)
 
 
 def check_trial(trial: Sequence[Any], where: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -280,17 +280,22 @@ class ParameterSets:
             )
         found = [s for s in self.sets if s.condition == condition]
         if len(found) != 1:
-            number = "several sets" if found else "no set"
+            if found:
+                readings = listed(f"{s.moisture:g}" for s in found)
+                raise InputError(
+                    f"{self.where}: {len(found)} sets are of the condition '{condition}'; choose "
+                    f"one by its moisture ({readings} a.u.), or rename one"
+                )
             raise InputError(
-                f"{self.where}: {number} of the condition '{condition}'; "
+                f"{self.where}: no set of the condition '{condition}'; "
                 f"{known_names(condition, names)}"
             )
         return found[0]
 
     def interpolate(self, moisture: float) -> InterpolatedParameters:
-        """Parameters at a reading (a.u.); raises InputError when it is not a finite number."""
-        if not math.isfinite(moisture):
-            raise InputError(f"moisture is {moisture}, a number in {MOISTURE_TEXT} is needed")
+        """Parameters at a reading (a.u.); raises InputError for one off the scale."""
+        if not is_moisture(moisture):
+            raise InputError(f"moisture is {moisture:g}, a number in {MOISTURE_TEXT} is needed")
         parameters, covariance, out_of_range = self.space.interpolate(
             self._moisture, self._log, self._covariance, moisture, self._margins
         )

@@ -10,16 +10,24 @@ sources.
 from __future__ import annotations
 
 import functools
+from pathlib import Path
 
 import numpy as np
 
-from .estimator import ContactEstimator, members
+from .estimator import ContactEstimator, members, stream
 from .followers import Followers
 from .geometry import Geometry
 from .pose.estimate import NO_OUTLINE
 from .pose.settings import PoseSettings
 from .reduced.model import ReducedModel, load_population
 from .slip import SlipSettings
+
+
+def is_compiled() -> bool:
+    """Whether an earlier start has left the estimate's kernel, or there is none to keep."""
+    kept = getattr(stream.process, "stats", None)  # of numba, where it is installed
+    folder = None if kept is None else kept.cache_path
+    return folder is None or any(Path(folder).glob("stream.process-*.nbi"))
 
 
 def warm_up(estimator: ContactEstimator) -> None:

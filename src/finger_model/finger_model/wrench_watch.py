@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+from finger_common.axes import opposite
 from finger_common.stamps import seconds
 
 DROPPED = 0.1
@@ -141,10 +142,9 @@ class WrenchWatch:
                 "presses along, or tare"
             )
         if self._pulls >= PULLS and self._pulled_for >= PULLS_FOR:
-            opposite = normal_axis.translate(str.maketrans("+-", "-+"))
             return (
                 f"the normal force went below zero {self._pulls} times, to {self._pull:.2f} N, "
                 f"without a press: has normal_axis ({normal_axis}) the opposite sign? Set it to "
-                f"{opposite}, or tare"
+                f"{opposite(normal_axis)}, or tare"
             )
         return ""

@@ -561,7 +561,8 @@ def test_force_beyond_the_range_is_flagged_not_extrapolated(estimator: ContactEs
             assert getattr(far, name) == pytest.approx(getattr(beyond, name), rel=0.05), name
         # The highest pressure is at least the mean, which is that of the true force.
         assert far.peak_pressure > far.mean_pressure
-    assert beyond.peak_pressure == pytest.approx(3 * inside.peak_pressure, rel=0.05)
+    # People's peak over mean pressure grows with the force.
+    assert 3 * inside.peak_pressure < beyond.peak_pressure < 4 * inside.peak_pressure
 
 
 def test_tissue_that_does_not_relax_runs() -> None:

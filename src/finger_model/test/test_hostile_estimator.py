@@ -18,6 +18,7 @@ from yielding_finger import THIN, YIELDING
 from finger_common.errors import InputError, ModelError
 from finger_common.flags import AreaFlag, StateFlag
 from finger_model.estimator import ContactEstimate, ContactEstimator, EstimatorSettings, stream
+from finger_model.finger import load_reduced
 from finger_model.parameter_sets import ParameterSet, ParameterSets
 from finger_model.reduced import ReducedModel
 
@@ -677,3 +678,21 @@ def test_a_force_that_rests_on_a_coarse_digit_is_not_taken_for_a_repeated_one(
     still, resting = (noisy_hold(model, n, 0.05, times) for n in (0.0 * noise, noise))
     assert resting[900] > 1.3 * still[900]
     assert resting[-1] == pytest.approx(still[-1], rel=0.02)
+
+
+def test_a_learned_finger_is_less_certain_beyond_the_models_force() -> None:
+    """Nobody measured how its area goes on there."""
+    model = load_reduced()
+    estimator = ContactEstimator(model)
+    for e in feed(ContactEstimator(model), 0.0, 12.0, press)[:: 100 // PERIOD]:
+        if e.area > 0:
+            estimator.add_area(e.stamp_ns, e.model_area, 1e-6)
+    feed(estimator, 0.0, 12.5, press)
+    limit = estimator.force_limit
+    rise = feed(estimator, 12.5, 14.5, lambda t: max(0.0, 0.9 * limit * (t - 12.7)))
+    at, beyond = (
+        max((e for e in rise if e.normal_force < most), key=lambda e: e.normal_force)
+        for most in (0.98 * limit, 1.5 * limit)
+    )
+    assert beyond.area == pytest.approx(at.area, rel=0.1)
+    assert beyond.area_stddev / beyond.area > 1.3 * at.area_stddev / at.area

@@ -6,6 +6,7 @@
 import csv
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import meshio
@@ -236,3 +237,45 @@ def test_a_release_in_one_row_is_that_in_many_rows(tmp_path: Path, solver: str) 
         assert len(table) == len(time)
         last.append(table["area_mm2"][-1])
     assert last[1] == pytest.approx(last[0], rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("rows", "says"),
+    [("1e308,1", "row 2 is 1e+308 s; give times in seconds"), ("1700000000000000000,1", "row 2")],
+)
+def test_a_time_of_another_unit_is_refused(tmp_path, capsys, rows, says) -> None:
+    (tmp_path / "force.csv").write_text(f"time_s,force_n\n0,0\n{rows}\n")
+    assert run(_main, ["simulate", "--force", str(tmp_path / "force.csv")]) == 2
+    assert says in capsys.readouterr().err
+
+
+def test_a_force_that_is_rounding_is_no_contact(tmp_path) -> None:
+    (tmp_path / "force.csv").write_text("time_s,force_n\n0,0\n1,5e-324\n2,1\n")
+    out = tmp_path / "out.csv"
+    assert run(_main, ["simulate", "--force", str(tmp_path / "force.csv"), "-o", str(out)]) == 0
+    assert float(read(out)[1]["area_mm2"]) == 0.0 < float(read(out)[2]["area_mm2"])
+
+
+@pytest.mark.parametrize("moisture", ["690", "-5", "1e308"])
+def test_a_moisture_off_the_scale_is_refused(tmp_path, force_file, capsys, moisture) -> None:
+    ParameterSets.default().save(tmp_path / "p.yaml")
+    words = ["--parameters", str(tmp_path / "p.yaml"), "--moisture", moisture]
+    assert run(_main, ["simulate", "--force", str(force_file), *words]) == 2
+    assert "a number in 0 … 130 a.u. is needed" in capsys.readouterr().err
+
+
+def test_a_condition_of_two_sets_is_said_to_be_so(tmp_path, force_file, capsys) -> None:
+    sets = ParameterSets.default()
+    twice = [replace(s, condition="natural") for s in sets.sets[:2]]
+    ParameterSets(twice).save(tmp_path / "p.yaml")
+    words = ["--parameters", str(tmp_path / "p.yaml"), "--condition", "natural"]
+    assert run(_main, ["simulate", "--force", str(force_file), *words]) == 2
+    says = capsys.readouterr().err
+    assert "2 sets are of the condition 'natural'; choose one by its moisture" in says
+    assert "did you mean" not in says
+
+
+def test_a_picture_does_not_replace_the_table(tmp_path, force_file, capsys) -> None:
+    out = str(tmp_path / "p.csv")
+    assert run(_main, ["simulate", "--force", str(force_file), "-o", out, "--plot", out]) == 2
+    assert "is named for two outputs" in capsys.readouterr().err

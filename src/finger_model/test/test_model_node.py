@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import signal
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -40,7 +41,7 @@ from finger_model.estimator import (  # noqa: E402
     replay,
 )
 from finger_model.estimator.estimate import ESTIMATE_DTYPE, ESTIMATE_FIELDS  # noqa: E402
-from finger_model.finger import load_online, load_reduced  # noqa: E402
+from finger_model.finger import load_reduced  # noqa: E402
 from finger_model.geometry import Geometry  # noqa: E402
 from finger_model.messages import (  # noqa: E402
     area_of,
@@ -53,6 +54,7 @@ from finger_model.parameter_sets import ParameterSets  # noqa: E402
 from finger_model.pose.estimate import ShapeEstimate  # noqa: E402
 from finger_model.pose.estimator import PoseEstimator  # noqa: E402
 from finger_model.slip import SlipEstimate, SlipEstimator  # noqa: E402
+from finger_model.warm_up import warm_up_all  # noqa: E402
 from finger_msgs.msg import (  # noqa: E402
     ContactArea,
     ContactShape,
@@ -220,7 +222,7 @@ def test_what_it_publishes_is_what_a_replay_of_its_inputs_gives(
     assert any(s.measured_area_age < 0.2 for s in bench.states)
     assert all(s.header.frame_id == "sensor" for s in bench.states)
 
-    estimator = ContactEstimator(load_online())
+    estimator = ContactEstimator(load_reduced())
     received = [wrench_of(m) for m in wrenches]
     block = (np.array([s for s, _ in received]), np.array([f for _, f in received]))
     again = replay(
@@ -243,7 +245,7 @@ def test_one_stamp_of_another_time_is_flagged_and_changes_nothing(
     start(process)
     bench.connected()
     bench.until(lambda: bench.moisture.get_subscription_count() > 0)
-    reference = ContactEstimator(load_online())
+    reference = ContactEstimator(load_reduced())
     sent, expected = 0, []
 
     def press(number: int) -> None:
@@ -313,7 +315,7 @@ def test_no_message_ends_the_node_and_each_is_forgotten(
     child = start(process)
     bench.connected()
     bench.until(lambda: bench.moisture.get_subscription_count() > 0)
-    reference = ContactEstimator(load_online())
+    reference = ContactEstimator(load_reduced())
     sent = 0
 
     def press(number: int) -> list[tuple[ContactState, ContactEstimate]]:
@@ -423,7 +425,10 @@ def test_what_is_wrong_with_an_input_is_named_in_diagnostics(
 
     other = rclpy.create_node("other_driver")
     publisher = other.create_publisher(WrenchStamped, "/finger/wrench", RELIABLE)
-    says("contact state", "/finger/wrench is published by /bench and /other_driver")
+    says(
+        "contact state",
+        "/finger/wrench is published by /bench and /other_driver: this node mixes them",
+    )
     other.destroy_publisher(publisher)
     bench.diagnostics.clear()
     bench.until(
@@ -763,6 +768,32 @@ def test_what_is_missing_or_out_of_range_is_reported_where_it_is_expected(
     assert not warns()
 
 
+def test_a_first_start_says_that_it_compiles_and_ends_at_ctrl_c(
+    ros_domain: int,
+    process: Callable[..., Any],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    warm_up_all()
+    later = start(process)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    first = start(process)
+
+    def heard(child: Any, words: str) -> None:
+        end = time.monotonic() + 120.0
+        while words not in child.output.read_text():
+            assert child.poll() is None and time.monotonic() < end, child.output.read_text()
+            time.sleep(0.1)
+
+    heard(first, "compiling the model for the first time")
+    heard(later, "reduced model")
+    assert "compiling" not in later.output.read_text()
+    first.send_signal(signal.SIGINT)
+    assert first.wait(60.0) == 0
+    said = first.output.read_text()
+    assert "Traceback" not in said and "reduced model" not in said
+
+
 def test_it_is_silent_until_activated(bench: Bench, process: Callable[..., Any]) -> None:
     start(process, "autostart:=false")
     configure, activate, deactivate, cleanup = 1, 3, 4, 2
@@ -806,7 +837,7 @@ def test_a_clock_that_jumps_back_resets_the_state(
     assert bench.states[299].model_area > first.model_area
     bench.until(lambda: any("jumped" in e.reason for e in bench.events))
     # The recorded event makes a replay do the same.
-    again = ContactEstimator(load_online())
+    again = ContactEstimator(load_reduced())
     stamps = [*range(300), *range(50, 60)]
     block = (
         np.array([T0 + 2 * n * MS for n in stamps]),
@@ -885,7 +916,7 @@ def test_slip_goes_out_where_somebody_listens_as_the_core_has_it(
 
     start(process)
     slips = slips_heard(bench)
-    estimator, core = ContactEstimator(load_online()), SlipEstimator()
+    estimator, core = ContactEstimator(load_reduced()), SlipEstimator()
     layout = FixedMessage(ContactSlip(header=bench.press(T0, 0.0).header))
     wanted = []
     for n in range(500):
@@ -949,7 +980,7 @@ def test_shape_goes_out_where_it_is_wanted_as_the_core_has_it(
     bench.until(lambda: bench.node.count_publishers("/finger/contact_shape") > 0)
     bench.settle()
     settings = EstimatorSettings(pad_aspect=1.3, plate_pitch=0.2)
-    estimator = ContactEstimator(load_online(), settings=settings)
+    estimator = ContactEstimator(load_reduced(), settings=settings)
     core = PoseEstimator(estimator.pose_correction)
     layout = FixedMessage(ContactShape(header=bench.press(T0, 0.0).header))
     wanted = []

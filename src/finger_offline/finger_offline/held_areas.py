@@ -22,6 +22,14 @@ runs of n rows is (n - 1)/n of it under a steady ramp, and next to nothing where
 because the force does."""
 
 
+def held_text(number: int) -> str:
+    """What is said of a number of rows as of `held_rows`."""
+    return (
+        f"{number} rows hold the area of the row before, as loggers write it until the next frame; "
+        "left out, the first of each counts"
+    )
+
+
 def held_rows(
     stamp_ns: np.ndarray, area: np.ndarray, force_ns: np.ndarray, force: np.ndarray
 ) -> np.ndarray:

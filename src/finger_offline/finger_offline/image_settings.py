@@ -12,7 +12,7 @@ from typing import Any
 
 from finger_bag.reader import BagReader
 from finger_bag.schema import CALIBRATION_ATTACHMENT
-from finger_common.errors import InputError
+from finger_common.errors import InputError, put_once
 from finger_common.settings import Settings, setting
 from finger_vision.area_sensor import AREA_SENSORS, AreaSensor
 from finger_vision.calibration import PlateCalibration
@@ -26,9 +26,10 @@ def named_values(pairs: Sequence[str], example: str) -> dict[str, Any]:
         if not sign:
             raise InputError(f"--set {pair}: give NAME=VALUE, such as {example}")
         try:
-            found[name] = json.loads(text)
+            value = json.loads(text)
         except ValueError:
-            found[name] = text
+            value = text
+        put_once(found, name, value, "--set")
     return found
 
 

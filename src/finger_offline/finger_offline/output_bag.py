@@ -12,7 +12,7 @@ from types import TracebackType
 from finger_bag.copying import announce, copy_attachments
 from finger_bag.reader import BagMessage, BagReader
 from finger_bag.schema import IMAGE_TOPICS, PARAMETERS_ATTACHMENT, TOPICS, spec_of
-from finger_bag.writer import BagWriter
+from finger_bag.writer import BagWriter, MessageRefused
 from finger_common.errors import InputError
 from finger_common.files import read_bytes
 from finger_model.estimator import EstimatorEvent
@@ -73,20 +73,28 @@ class OutputBag:
     ) -> None:
         self._writer.__exit__(kind, error, traceback)
 
+    def finish(self) -> None:
+        """Write all but the bag's name, which it gets when the `with` ends without an error."""
+        self._writer.finish()
+
     def copy(self, item: BagMessage) -> None:
         """Copy a message of the input, unless its topic is replaced or shows the print."""
         key = (item.topic, item.type)
         if item.topic in self._skipped or key in self.left_out:
             return
-        try:
-            if key not in self._announced:
-                if not self._options.keep_images and _is_image(item):
-                    self._skipped.add(item.topic)
-                    return
+        if key not in self._announced:
+            if not self._options.keep_images and _is_image(item):
+                self._skipped.add(item.topic)
+                return
+            try:
                 announce(self._writer, self._reader.topic_info(*key))
-                self._announced.add(key)
+            except InputError as error:
+                self.left_out[key] = str(error)
+                return
+            self._announced.add(key)
+        try:
             self._writer.copy(item)
-        except InputError as error:
+        except MessageRefused as error:
             self.left_out[key] = str(error)
 
     def write_area(self, measured: ContactMeasurement, stamp: int, log_ns: int) -> None:

@@ -49,6 +49,7 @@ from finger_model.messages import (
 from finger_model.parameter_sets import ParameterSets
 from finger_model.pose.estimate import NO_OUTLINE, MeasuredOutline, ShapeEstimate
 from finger_model.pose.settings import PoseSettings
+from finger_model.reduced.model import load_population
 from finger_model.slip import SlipSettings
 from finger_vision.area_sensor import ContactMeasurement
 
@@ -70,6 +71,11 @@ MAXIMUM_WRENCH = 1024
 
 RELATIVE_AREA_SD = 0.1
 """Standard deviation over value of an area that a mapping takes from a bare number."""
+
+GAVE_WAY = (
+    "the force goes beyond the model of the default finger; the model of the population was used "
+    "(name your finger's with --geometry or --model)"
+)
 
 BlockSink = Callable[[EstimateBlock], None]
 
@@ -103,10 +109,34 @@ def process(
 ) -> ProcessResult:
     """Process one bag into a new one (None: no bag is written).
 
-    progress is called with the fraction done, on_block with each block of estimates. Raises
-    InputError when the bag lacks what is needed or the target exists.
+    progress is called with the fraction done, on_block with each block of estimates. A recording
+    without events whose force leaves the range of the default finger's model is processed once
+    more, from its first block, with the model of the population, unless the options name a model.
+    Raises InputError when the bag lacks what is needed or the target exists.
     """
     options = options or ProcessOptions()
+    try:
+        return _processed(source, target, options, progress, on_block, False)
+    except _BeyondModel:
+        return _processed(source, target, options, progress, on_block, True)
+
+
+class _BeyondModel(Exception):
+    """The force goes beyond a model that gives way to that of the population."""
+
+
+def _processed(
+    source: str | Path,
+    target: str | Path | None,
+    options: ProcessOptions,
+    progress: Callable[[float], None] | None,
+    on_block: BlockSink | None,
+    population: bool,
+) -> ProcessResult:
+    """As `process`; population: with the model of the population for the default finger.
+
+    Raises _BeyondModel where another model has to be used.
+    """
     with ExitStack() as stack:
         reader = stack.enter_context(open_bag(source))
         topics = InputTopics.of(reader, options)
@@ -119,7 +149,7 @@ def process(
         events = None
         if topics.events is not None:
             events = RecordedEvents(reader, topics.events, topics.wrench, options, sets)
-        estimator = _estimator(options, sets, events)
+        estimator = _estimator(options, sets, events, population)
         # Everything is checked and loaded before anything is written.
         output = None
         if target is not None:
@@ -130,11 +160,15 @@ def process(
             sinks.append(stack.enter_context(open_table(table)))
         run = _Run(reader, options, topics, estimator, events, images, output, sinks)
         run.read_all(progress)
+        if output is not None:
+            output.finish()  # a disk that is full now leaves no table without its bag
         result = run.result()
     if told and images is not None:
         result.notes.insert(0, f"areas measured with {told} of the area sensor")
     elif told:
         result.problems.append(f"areas are recorded, so that {told} is not used: give --images yes")
+    if population:
+        result.notes.insert(0, GAVE_WAY)
     if events is not None and events.another_finger:
         result.notes.insert(0, ANOTHER_FINGER)
     result.path = None if target is None else Path(target)
@@ -145,6 +179,7 @@ def _estimator(
     options: ProcessOptions,
     sets: ParameterSets | None,
     events: RecordedEvents | None,
+    population: bool,
 ) -> ContactEstimator:
     """For the finger of the options or of the recording's events; sets: those of the options."""
     if events is not None:
@@ -152,6 +187,8 @@ def _estimator(
     else:
         named = options.model_file, options.geometry_file
         model = load_for(sets or ParameterSets.default(), *named)
+        if population:
+            model = load_population(model.geometry)
     values = {"normal_axis": options.axis, **options.estimator}
     estimator = ContactEstimator(model, sets, EstimatorSettings.from_mapping(values))
     if events is not None:
@@ -215,6 +252,10 @@ class _Run:
         self.rewrites_events = options.is_own()
         self.states = self.areas = 0
         self.validity = Validity()
+        model = estimator.model
+        named = options.model_file or options.geometry_file
+        # What a live node published is given again with its own model.
+        self.may_give_way = topics.events is None and not named and model.gives_way
 
     def read_all(self, progress: Callable[[float], None] | None) -> None:
         """Read and estimate everything; raises InputError when there is no wrench."""
@@ -403,7 +444,9 @@ class _Run:
             slips += serialize_slips(slip, self.followers.lateral_axes, frame)
             shapes += [(log[number], estimate) for number, estimate in shape]
         block = EstimateBlock(np.concatenate(rows))
-        self.validity.add(block)
+        self.validity.add(block, found.force, self.estimator.settings.normal_axis)
+        if self.may_give_way and self.validity.leaves_model:
+            raise _BeyondModel
         self.states += len(block)
         if self.output is not None:
             self.output.write("contact_state", zip(logs, serialize(block, frame)))

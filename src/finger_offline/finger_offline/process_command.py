@@ -20,6 +20,7 @@ from finger_bag.cli import AddCommand
 from finger_bag.read_settings import add_read_options, read_settings_from
 from finger_common.cli import EXIT_BAD_INPUT, EXIT_LOST, one_line, plain
 from finger_common.errors import FingerError, InputError
+from finger_common.files import check_outputs
 from finger_common.processes import begin_worker
 from finger_common.progress import Stages
 
@@ -52,7 +53,12 @@ def add_command(add: AddCommand) -> None:
         help="setting of estimator, pose or area sensor",
     )
     model.add_argument("--parameters", default="", metavar="FILE", help="parameters.yaml to use")
-    model.add_argument("--model", default="", metavar="FILE", help="reduced model to use")
+    model.add_argument(
+        "--model",
+        default="",
+        metavar="FILE",
+        help="reduced model to use; 'population': the shipped one of all fingers",
+    )
     model.add_argument("--geometry", default="", metavar="YAML", help="geometry.yaml of the finger")
     tables = parser.add_argument_group("tables")
     tables.add_argument("--csv", metavar="FILE", help="write the estimates to this CSV file")
@@ -87,6 +93,8 @@ def run(args: argparse.Namespace) -> int:
         tables=tables,
     )
     output = Path(args.output)
+    inputs = [*bags, args.parameters, args.model, args.geometry, args.mapping, args.calibration]
+    check_outputs([output, *tables], inputs)
     targets = [output / _name_of(bag) for bag in bags] if several else [output]
     for bag, target in zip(bags, targets):
         if targets.count(target) > 1:

@@ -20,10 +20,10 @@ from finger_bag.streams import Malformed, read_wrenches
 from finger_common.errors import FingerError, InputError
 from finger_model.estimator import EstimatorEvent, EstimatorSettings, EventType
 from finger_model.estimator.parameter_selection import check_sets
-from finger_model.finger import load_for, load_reduced, model_for
+from finger_model.finger import load_for, model_for
 from finger_model.messages import event_of
 from finger_model.parameter_sets import ParameterSets
-from finger_model.reduced.model import ReducedModel
+from finger_model.reduced.model import ReducedModel, load_population
 
 from .process_options import ProcessOptions
 
@@ -150,8 +150,8 @@ def _candidates(sets: ParameterSets, named: ReducedModel | None) -> Iterator[Red
     except InputError:
         return  # A finger outside the population box has a file of its own.
     yield own
-    # Nodes had the default finger's own model once.
-    yield load_reduced(geometry_file=own.geometry)
+    if own.gives_way:
+        yield load_population(own.geometry)
 
 
 def _first_stamp(reader: BagReader, wrench: str, options: ProcessOptions) -> int:

@@ -11,8 +11,10 @@ import numpy as np
 
 from finger_bag.streams import AREA, SessionStreams, in_stamp_order
 from finger_bag.validate import FAIL, NOTE, OK, CheckedBag, Validation
+from finger_common.axes import directed, mostly_pulls, other_axis
 from finger_common.errors import listed
 from finger_common.flags import AreaFlag
+from finger_common.moisture import MOISTURE_TEXT, is_moisture
 from finger_common.stamps import nanoseconds, seconds
 
 from .held_areas import held_rows
@@ -100,7 +102,12 @@ def check_trials(bag: CheckedBag, result: Validation) -> None:
         return
     if not found.trials:
         reasons = listed(dict.fromkeys(e.reason for e in found.exclusions), 3, "; ")
-        result.add("trials", FAIL, f"none can be used ({reasons})")
+        words = f"none can be used ({reasons})"
+        squares = directed(streams.wrenches.force)
+        pressed = forces["normal"].max(initial=0.0) >= settings.minimum_peak
+        if not pressed or mostly_pulls(squares, settings.axis):
+            words = "; ".join(filter(None, (words, other_axis(squares, settings.axis))))
+        result.add("trials", FAIL, words)
         return
     conditions = ", ".join(f"{len(found.of(c))} {c or 'unnamed'}" for c in found.conditions)
     result.add("trials", NOTE if unused else OK, f"{conditions}{unused}")
@@ -304,6 +311,10 @@ def _check_moisture(found: TrialSet, result: Validation) -> None:
         detail = f"{listed(other)}; {READINGS} + {READINGS} are expected"
     else:
         status, detail = OK, f"{READINGS} + {READINGS} readings per trial"
+    readings = [value for t in found for value in (*t.moisture_before, *t.moisture_after)]
+    if wrong := sum(not is_moisture(value) for value in readings):
+        status = NOTE if status == OK else status
+        detail += f"; {wrong} of {len(readings)} are off the scale ({MOISTURE_TEXT}) and not used"
     result.add("moisture", status, detail)
 
 

@@ -21,12 +21,13 @@ class TrialRecord:
     before onset to `margin` after lift-off; lateral_force (n,). area_stamp_ns, area, area_sd (m²,
     NaN where unknown), area_flags (k,): gross areas; real_area (k,). indentation_stamp_ns,
     indentation (j,): measured approach of plate and bone in m, positive into the finger, of unknown
-    zero; empty where none was measured. moisture_before,
-    moisture_after: readings (a.u.). onset_ns, liftoff_ns: first sample at or above the onset force,
-    first one below the lift-off force (None when the recording ends before). completed: false where
-    messages announce the trial and not that it was done. area_source: "topic" or "images". doubts:
-    what is wrong with the recording that it comes from. finger: such as right_index, empty where it
-    was not noted.
+    zero; empty where none was measured. history_ns, history (h,): normal force of the same
+    recording before stamp_ns[0], thinned as of `force_history.force_before`; empty where it is not
+    known. moisture_before, moisture_after: readings (a.u.). onset_ns, liftoff_ns: first sample at
+    or above the onset force, first one below the lift-off force (None when the recording ends
+    before). completed: false where messages announce the trial and not that it was done.
+    area_source: "topic" or "images". doubts: what is wrong with the recording that it comes from.
+    finger: such as right_index, empty where it was not noted.
     """
 
     bag: str
@@ -54,6 +55,8 @@ class TrialRecord:
     doubts: tuple[str, ...] = ()
     indentation_stamp_ns: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
     indentation: np.ndarray = field(default_factory=lambda: np.empty(0))
+    history_ns: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
+    history: np.ndarray = field(default_factory=lambda: np.empty(0))
 
     @property
     def moisture(self) -> float:

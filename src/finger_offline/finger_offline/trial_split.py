@@ -30,6 +30,7 @@ from finger_common.stamps import nanoseconds, seconds
 from finger_common.trial_phases import TrialPhase
 from finger_model.paper import TARGET_FORCE
 
+from .force_history import force_before
 from .image_settings import ImageSettings
 from .trial_records import Exclusion, TrialRecord, TrialSet
 from .unloaded import LARGEST_TARE, Unloaded, moved_plate, pressing_force
@@ -175,7 +176,7 @@ def split(
         )
     moistures = _assign_moistures(streams.moistures, chosen, stamp)
     for number, (press, moisture) in enumerate(zip(chosen, moistures)):
-        record = recording.trial(press, number, moisture)
+        record = recording.trial(press, number, moisture, _begin_of(press, chosen))
         record = replace(record, area_source=streams.area_source, doubts=tuple(doubts))
         reason = press.reason
         if not reason and not len(record.area_stamp_ns):
@@ -225,9 +226,14 @@ class _Recording:
         return moved_plate(time, self._normal, *frames)
 
     def trial(
-        self, press: _Press, number: int, moisture: tuple[list[float], list[float]]
+        self,
+        press: _Press,
+        number: int,
+        moisture: tuple[list[float], list[float]],
+        since: int,
     ) -> TrialRecord:
-        """The trial of a press; number: of the trial in the bag, where no message tells it."""
+        """The trial of a press; number: of the trial in the bag, where no message tells it; since:
+        sample from which on the force before is of the same finger."""
         stamp, metadata = self.stamp_ns, self._metadata
         margin = nanoseconds(self._settings.margin)
         onset = int(stamp[press.first])
@@ -241,6 +247,7 @@ class _Recording:
             table[(table["stamp_ns"] >= stamp[low]) & (table["stamp_ns"] <= stamp[high - 1])]
             for table in (self._areas, self._indentations)
         )
+        history_ns, history = force_before(stamp, self._normal, low, since)
         event = press.event
         index = _integer(metadata.trial_index, number) if event is None else event.index
         target = _number(event.target_force if event is not None else metadata.target_force)
@@ -268,7 +275,19 @@ class _Recording:
             completed=press.completed,
             indentation_stamp_ns=indentations["stamp_ns"].copy(),
             indentation=indentations["indentation"].copy(),
+            history_ns=history_ns,
+            history=history,
         )
+
+
+def _begin_of(press: _Press, chosen: Sequence[_Press]) -> int:
+    """First sample behind the presses of other fingers than that of a press."""
+
+    def finger(one: _Press) -> tuple[str, str]:
+        return ("", "") if one.event is None else (one.event.subject, one.event.finger)
+
+    others = (p.end for p in chosen if p.end <= press.first and finger(p) != finger(press))
+    return max(others, default=0)
 
 
 def _doubts(streams: SessionStreams, bag: str) -> list[str]:

@@ -167,6 +167,12 @@ def smooth_force(time: np.ndarray, force: np.ndarray) -> np.ndarray:
     return uniform_filter1d(force, max(round(SMOOTHING / period), 1), mode="nearest")
 
 
+def pressed_force(time: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """Force (n,) of which the peak of a press is taken, without spikes and noise; time (n,) in s,
+    force (n,) in N."""
+    return smooth_force(time, without_spikes(force)[0])
+
+
 def rest_levels(
     time: np.ndarray, force: np.ndarray, touched: np.ndarray, empty: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:

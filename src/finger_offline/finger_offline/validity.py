@@ -10,8 +10,12 @@ from collections import Counter
 
 import numpy as np
 
+from finger_common.axes import DEFAULT_NORMAL_AXIS, NORMAL_AXES, directed, mostly_pulls, other_axis
 from finger_common.flags import StateFlag
 from finger_model.estimator import EstimateBlock
+
+BEYOND_MODEL = 5
+"""Samples in contact beyond the force limit from which a model does not serve; fewer are spikes."""
 
 _DOUBTS: dict[StateFlag, tuple[float, str, str]] = {
     StateFlag.FORCE_INVALID: (0.0, "the force is not finite", "check the force sensor"),
@@ -53,9 +57,15 @@ class Validity:
         self._flags: Counter[StateFlag] = Counter()
         self._age = math.nan
         self._used = self._areas = self._unsure = 0
+        self._samples = 0
+        self._squares = np.zeros(len(NORMAL_AXES))
+        self._axis = DEFAULT_NORMAL_AXIS
 
-    def add(self, block: EstimateBlock) -> None:
-        """Count the flags of a block of estimates."""
+    def add(self, block: EstimateBlock, force: np.ndarray, normal_axis: str) -> None:
+        """Count the flags of a block of estimates; force (n, 3): N, what they were made of."""
+        self._samples += len(block)
+        self._squares += directed(force)
+        self._axis = normal_axis
         touching = block.column("in_contact")
         flags = block.column("flags")[touching]
         self._contact += len(flags)
@@ -74,9 +84,20 @@ class Validity:
             self._areas += 1
             self._unsure += not (math.isfinite(sd) and sd > 0.0)
 
+    @property
+    def leaves_model(self) -> bool:
+        """Whether the force goes beyond the model's limit, by more than a spike."""
+        return self._flags[StateFlag.FORCE_OUT_OF_RANGE] >= BEYOND_MODEL
+
     def notes(self) -> list[str]:
         """Sentences on what makes estimates doubtful, with the remedy."""
         found = []
+        if self._areas and (not self._contact or mostly_pulls(self._squares, self._axis)):
+            remedy = other_axis(self._squares, self._axis) or "check unit and tare of the force"
+            found.append(
+                f"{self._areas} areas show a contact, {self._contact} of {self._samples} forces "
+                f"do; {remedy}"
+            )
         for flag, (least, meaning, remedy) in _DOUBTS.items():
             share = self._flags[flag] / max(self._contact, 1)
             if share > least:

@@ -30,7 +30,7 @@ from finger_model.estimator import (
     EstimateBlock,
     EstimatorSettings,
 )
-from finger_model.finger import load_for, load_online
+from finger_model.finger import load_for, load_reduced
 from finger_model.geometry import Geometry
 from finger_model.messages import (
     area_of,
@@ -61,7 +61,7 @@ def state_fields(estimate: ContactEstimate, frame_id: str) -> dict[str, Any]:
 
 def sample_by_sample(path: Path) -> list[ContactEstimate]:
     """Estimates as a live node makes them: inputs by log time, one wrench at a time."""
-    estimator = ContactEstimator(load_online())
+    estimator = ContactEstimator(load_reduced())
     found = []
     with open_bag(path) as reader:
         messages = list(reader.messages())
@@ -119,7 +119,7 @@ def test_bag_written_holds_the_estimates_and_the_originals(
 
 
 def test_serialized_states_equal_those_encoded_one_by_one() -> None:
-    estimator = ContactEstimator(load_online())
+    estimator = ContactEstimator(load_reduced())
     estimator.add_moisture(START - 10**9, 50.0)
     estimator.add_moisture(START + 10**8, 80.0)  # another parameter set midway
     stamps = START + np.arange(300) * 2_000_000
@@ -147,7 +147,7 @@ def live_recording(
     that are kept for late joiners. Gives the published states.
     """
     settings = EstimatorSettings(drift_sd=0.05)
-    before = estimator = ContactEstimator(load_online(), None, settings)
+    before = estimator = ContactEstimator(load_reduced(), None, settings)
     if subject is not None:
         estimator = ContactEstimator(load_for(subject), subject, settings)
     published = []

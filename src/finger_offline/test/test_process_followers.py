@@ -15,7 +15,7 @@ from finger_bag.definitions import encode
 from finger_bag.reader import open_bag
 from finger_bag.writer import BagWriter
 from finger_model.estimator import ContactEstimator, EstimatorEvent, EstimatorSettings
-from finger_model.finger import load_online
+from finger_model.finger import load_reduced
 from finger_model.followers import Followers
 from finger_model.messages import event_fields, shape_fields, slip_numbers
 from finger_model.pose.estimate import MeasuredOutline
@@ -39,7 +39,7 @@ def live_recording(
     by which time jumps back after 500 samples, without areas, which offline come before samples;
     clock: whether the node sees its clock jump.
     """
-    estimator = ContactEstimator(load_online(), settings=settings)
+    estimator = ContactEstimator(load_reduced(), settings=settings)
     followers = Followers(estimator, SlipSettings(), PoseSettings())
     slips, shapes, sequence = [], [], 0
     before = np.zeros(3), np.zeros(3)

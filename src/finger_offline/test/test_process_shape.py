@@ -19,7 +19,7 @@ from finger_bag.writer import BagWriter
 from finger_common.cli import run
 from finger_common.flags import ShapeFlag
 from finger_model.estimator import ContactEstimator, EstimatorSettings
-from finger_model.finger import load_online
+from finger_model.finger import load_reduced
 from finger_model.geometry import Geometry
 from finger_model.material import Material
 from finger_model.messages import event_fields, outline_of, shape_fields
@@ -42,7 +42,7 @@ def press_of(path: Path) -> None:
     correction = PoseCorrection(Geometry(), POSE, material.skin_ratio)
     force = np.minimum(np.linspace(0.0, 1.2, 1000), 1.0)
     force[:100] = 0.0
-    estimator = ContactEstimator(load_online())
+    estimator = ContactEstimator(load_reduced())
     rng = np.random.default_rng(4)
     with BagWriter(path, {}) as bag:
         for k, normal in enumerate(force.tolist()):
@@ -131,7 +131,7 @@ def live_recording(path: Path, pressed: Path) -> list[bytes]:
     """`pressed` as a live model node has it: moisture and the settings change on the way, and it is
     reset. Gives the shapes that it published."""
     settings = EstimatorSettings(pad_aspect=1.2)
-    estimator = ContactEstimator(load_online(), settings=settings)
+    estimator = ContactEstimator(load_reduced(), settings=settings)
     core = PoseEstimator(estimator.pose_correction)
     core.outlines.delay = settings.fusion_delay
     shapes, samples, sequence = [], 0, 0

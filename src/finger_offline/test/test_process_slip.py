@@ -18,7 +18,7 @@ from finger_bag.reader import open_bag
 from finger_bag.writer import BagWriter
 from finger_common.cli import run
 from finger_model.estimator import ContactEstimator, EstimatorEvent
-from finger_model.finger import load_online
+from finger_model.finger import load_reduced
 from finger_model.messages import area_of, event_fields, slip_numbers, stick_of, wrench_of
 from finger_model.slip import SlipEstimator
 
@@ -60,7 +60,7 @@ def test_slip_of_a_bag_is_that_of_its_samples(tmp_path: Path) -> None:
     with open_bag(tmp_path / "plain") as reader:
         assert "/finger/contact_slip" not in reader.info.topics
         forces = [wrench_of(m.message) for m in reader.messages(["/finger/wrench"])]
-    contact, slip = ContactEstimator(load_online()), SlipEstimator()
+    contact, slip = ContactEstimator(load_reduced()), SlipEstimator()
     wanted = [
         slip_numbers(slip.add(estimate, force), slip.lateral_axes)
         for stamp, force in forces
@@ -80,7 +80,7 @@ def test_slip_of_a_bag_is_that_of_its_samples(tmp_path: Path) -> None:
 def test_stick_ratios_of_the_camera_enter_as_in_a_live_node(tmp_path: Path) -> None:
     bag = pulled(tmp_path / "bag", seen=True)
     assert run(command, ["process", str(bag), "-o", str(tmp_path / "slip"), "--slip"]) == 0
-    contact, slip = ContactEstimator(load_online()), SlipEstimator()
+    contact, slip = ContactEstimator(load_reduced()), SlipEstimator()
     slip.sticks.delay = 0.1
     wanted = []
     with open_bag(bag) as reader:
@@ -110,7 +110,7 @@ def test_a_recorded_reset_or_surface_is_a_plate_that_was_not_seen_before(
 ) -> None:
     """As in a live node, whose services ~/reset and ~/new_surface forget the friction."""
     pull = pulled(tmp_path / "bag", seen=True)
-    contact, slip = ContactEstimator(load_online()), SlipEstimator()
+    contact, slip = ContactEstimator(load_reduced()), SlipEstimator()
     slip.sticks.delay = 0.1
     wanted: list[tuple] = []
     with open_bag(pull) as reader, BagWriter(tmp_path / "live", {}) as bag:

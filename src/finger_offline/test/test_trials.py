@@ -220,6 +220,38 @@ def test_presses_in_quick_succession_keep_nothing_of_one_another(tmp_path: Path)
         assert trial.area_stamp_ns[0] >= trial.stamp_ns[0]
 
 
+def test_a_trial_has_the_force_before_it_of_the_same_finger(tmp_path: Path) -> None:
+    """Tissue does not forget at once; thinned, from the beginning of the recording or the last
+    press of another finger on."""
+    fingers = ["right_index", "right_index", "right_thumb", "right_thumb"]
+    with BagWriter(tmp_path / "bag", {"condition": "dry"}) as bag:
+        for t in np.arange(0, 4 * 2.8, 0.002):
+            stamp, force = START + round(t * 1e9), float(press_force(np.array(t % 2.8)))
+            if round(t * 500) % 1400 == 0:
+                index = round(t / 2.8)
+                header = {"stamp": stamp, "frame_id": fingers[index]}
+                about = {"header": header, "session": "a", "index": index}
+                bag.write("trial", {**about, "phase": int(TrialPhase.PRESS)})
+            bag.write("wrench", wrench(stamp, force))
+            if round(t * 500) % 50 == 0:
+                fields = {"header": {"stamp": stamp}, "gross_area": AREA_PER_FORCE * force}
+                bag.write("contact_area", fields)
+    found = load_trials(tmp_path / "bag").trials
+    assert [t.finger for t in found] == fingers
+    for trial in found:
+        time = (trial.history_ns - START) * 1e-9
+        if not len(time):
+            continue
+        assert trial.history_ns[-1] < trial.stamp_ns[0]
+        assert np.allclose(np.diff(time), 0.05, atol=0.03)
+        # A mean over the end of a press, which is sudden here, lies between.
+        assert np.mean(np.abs(trial.history - press_force(time % 2.8)) < 0.01) > 0.9
+    begins = [(t.history_ns[0] - START) * 1e-9 for t in found if len(t.history)]
+    assert begins[:2] == pytest.approx([0.0, 0.0], abs=0.03)
+    ends = (found[1].liftoff_ns - START) * 1e-9
+    assert begins[2:] == pytest.approx([ends] * 2, abs=0.03)
+
+
 def test_images_of_another_clock_are_stamped_when_they_were_recorded(tmp_path: Path) -> None:
     bag = write_session(tmp_path / "bag", trials=1, images=True)
     topics = {"image_raw": {"topic": "/finger/image_raw", "stamp": "log_time"}}

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,10 +15,16 @@ import pytest
 from session_bags import START, press_force, wrench
 
 from finger_bag.cli import command
+from finger_bag.mapping import TopicMapping
+from finger_bag.read_settings import ReadSettings
+from finger_bag.reader import open_bag
+from finger_bag.validate import validate
 from finger_bag.writer import BagWriter
+from finger_common.errors import InputError
 from finger_model.estimator import EstimateBlock
 from finger_model.reduced import ReducedModel
 from finger_offline.process import process
+from finger_offline.process_options import ProcessOptions
 
 
 def recorded(path: Path, lag: float = 0.0, tare: float = 0.0, sd: float = 1.5e-6) -> Path:
@@ -59,11 +67,13 @@ def test_areas_without_a_deviation_are_told_with_the_remedy(tmp_path: Path) -> N
     assert command(["process", str(tmp_path / "bag"), *output]) == 0
 
 
-def test_the_default_finger_is_estimated_far_beyond_three_newtons(
+def test_a_force_beyond_the_default_finger_is_served_by_the_population(
     session: Callable[..., Path], tmp_path: Path
 ) -> None:
-    strong = session("strong", trials=1, peak=8.0)
-    assert not any("FORCE_OUT_OF_RANGE" in n for n in process(strong, tmp_path / "out").notes)
+    strong = session("strong", trials=1, peak=5.0)
+    result = process(strong, tmp_path / "out")
+    assert "the model of the population was used" in result.notes[0]
+    assert not any("FORCE_OUT_OF_RANGE" in note for note in result.notes)
     # A second run follows the events of the first, with its model.
     first: list[EstimateBlock] = []
     second: list[EstimateBlock] = []
@@ -71,3 +81,88 @@ def test_the_default_finger_is_estimated_far_beyond_three_newtons(
     assert process(tmp_path / "out", None, on_block=second.append).replayed
     again = np.concatenate([block.column("area") for block in second])
     assert np.array_equal(again, np.concatenate([b.column("area") for b in first])[-len(again) :])
+    # Named, it serves at once, and says so no more.
+    named: list[EstimateBlock] = []
+    options = ProcessOptions(model_file="population")
+    assert not any(
+        "was used" in n for n in process(strong, None, options, None, named.append).notes
+    )
+    assert np.array_equal(np.concatenate([b.column("area") for b in named])[-len(again) :], again)
+    own = ProcessOptions(estimator={"onset_force": 0.06})
+    assert "population" in process(strong, None, own).notes[0]
+    usual = process(session("usual", trials=1), None)
+    assert not any("population" in note for note in usual.notes)
+
+
+@pytest.mark.parametrize("axis", ["+z", "+x"])
+def test_forces_along_another_axis_are_told_with_the_axis(tmp_path: Path, axis: str) -> None:
+    found = process(recorded(tmp_path / "bag"), None, ProcessOptions(normal_axis=axis)).notes
+    assert "areas show a contact, 0 of 7000 forces do" in found[0]
+    assert f"along -z, not along normal_axis {axis}: give --normal-axis -z, or tare" in found[0]
+
+
+def test_validate_names_the_axis_where_it_finds_no_press(tmp_path: Path) -> None:
+    path = recorded(tmp_path / "bag")
+    (trials,) = (
+        check
+        for check in validate(path, ReadSettings(normal_axis="+z")).checks
+        if check.name == "trials"
+    )
+    assert trials.status == "fail" and "no press" in trials.detail
+    assert trials.detail.endswith("give --normal-axis -z, or tare the force")
+
+
+FULL_DISK = """
+import resource, signal, sys
+from finger_bag.cli import command
+from finger_common.cli import run
+from finger_bag.writer import BagWriter
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+begun = BagWriter.finish
+def finish(self):  # kernels are compiled, and kept in files, before
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1_000, before[1]))
+    try:
+        begun(self)
+    finally:  # the table would fit
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+BagWriter.finish = finish
+sys.exit(run(command, sys.argv[1:]))
+"""
+
+
+def test_a_bag_that_does_not_fit_leaves_no_table_alone(tmp_path: Path) -> None:
+    path = recorded(tmp_path / "bag")
+    words = ["process", str(path), "-o", str(tmp_path / "out"), "--csv", str(tmp_path / "t.csv")]
+    done = subprocess.run(
+        [sys.executable, "-c", FULL_DISK, *words], capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 2, done.stderr
+    assert f"{tmp_path / 'out'}: cannot be written (File too large); make room" in done.stderr
+    assert [p.name for p in tmp_path.iterdir()] == ["bag"]
+
+
+def test_stamps_before_1970_are_named_as_the_cause(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as bag:
+        for number in range(1000):
+            bag.write("wrench", wrench(-5_000_000_000 + number * 2_000_000, 1.0), START + number)
+    with pytest.raises(InputError, match="stamps lie before 1970; name 'stamp: log_time'"):
+        process(tmp_path / "bag", None)
+    mapping = tmp_path / "map.yaml"
+    mapping.write_text("topics: {wrench: {stamp: log_time}}")
+    by_log_time = ProcessOptions(mapping=TopicMapping.load(mapping))
+    assert process(tmp_path / "bag", None, by_log_time).states == 1000
+
+
+def test_readings_off_the_scale_are_noted(tmp_path: Path, session: Callable[..., Path]) -> None:
+    path = session("sweaty", trials=1)
+    with open_bag(path) as reader, BagWriter(tmp_path / "off", reader.info.metadata) as bag:
+        for item in reader.messages():
+            if item.topic.endswith("/moisture"):
+                stamp = {"header": {"stamp": item.log_time_ns}}
+                bag.write("moisture", {**stamp, "value": 1e9, "phase": item.message.phase})
+            else:
+                bag.copy(item)
+    (moisture,) = (c for c in validate(tmp_path / "off").checks if c.name == "moisture")
+    assert moisture.status == "note"
+    assert "6 of 6 are off the scale (0 … 130 a.u.) and not used" in moisture.detail

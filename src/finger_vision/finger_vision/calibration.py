@@ -29,6 +29,9 @@ FILE_VERSION = 1
 PAPER_AREA_PER_PIXEL = 0.000986e-6
 """m²; Nam and Kuchenbecker, IEEE Trans. Haptics 14(2), 2021."""
 
+PIXEL_AREAS = (1e-12, 1e-4)
+"""m², of a pixel: of a micrometre a side, and a centimetre."""
+
 _CORNERS = 250_000  # of pixels that are mapped to the plate at once
 
 
@@ -60,10 +63,11 @@ class PlateCalibration:
     date: str = ""
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.area_per_pixel) and 0 < self.area_per_pixel < 1e-4):
+        smallest, largest = PIXEL_AREAS
+        if not smallest <= self.area_per_pixel < largest:
             raise InputError(
-                f"area per pixel is {self.area_per_pixel:g} m², a number above 0 and below 1e-4 "
-                "is needed"
+                f"area per pixel is {self.area_per_pixel:g} m², a number above 0, from "
+                f"{smallest:g} to {largest:g}, is needed"
             )
 
     @classmethod

@@ -18,7 +18,7 @@ import numpy as np
 
 from finger_common.cli import Parser, add_settings, plain, run
 from finger_common.errors import InputError
-from finger_common.files import atomic_write, check_output
+from finger_common.files import atomic_write, check_outputs
 from finger_common.flags import AreaFlag, flag_names
 
 from .area_sensor import AREA_SENSORS, measured
@@ -152,7 +152,7 @@ def _views(paths: Sequence[Path], board: Board, arguments: Any) -> list[View]:
 
 
 def _calibrate(arguments: Any) -> int:
-    check_output(arguments.output, [*arguments.views, *arguments.on_plate])
+    check_outputs([arguments.output], [*arguments.views, *arguments.on_plate])
     board = Board(
         arguments.board,
         arguments.columns,
@@ -183,7 +183,7 @@ def _output(path: Path | None) -> AbstractContextManager[IO[Any]]:
 
 def _area(arguments: Any) -> int:
     inputs = [*arguments.images, *arguments.background, arguments.calibration]
-    check_output(arguments.output, inputs)
+    check_outputs([arguments.output], inputs)
     calibration = PlateCalibration.given(arguments.calibration, arguments.area_per_pixel)
     sensor = AREA_SENSORS.open(vars(arguments), calibration)
     plate: tuple[Path, tuple[int, ...]] | None = None

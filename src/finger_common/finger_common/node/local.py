@@ -72,9 +72,14 @@ class LocalSubscription:
             _subscriptions[self._topic] += (self,)
 
     @property
+    def sources(self) -> int:
+        """How many nodes of this process publish the topic."""
+        return len(_publishers[self._topic])
+
+    @property
     def fed(self) -> bool:
-        """Whether a node of this process publishes the topic."""
-        return bool(_publishers[self._topic])
+        """Whether one does."""
+        return self.sources > 0
 
     def deliver(self, sample: tuple[Any, ...]) -> Rest | None:
         """Pass a sample on; returns what is left to do with it."""

@@ -128,6 +128,8 @@ class ManagedNode(LifecycleNode):
         """Of the node's process when a signal ends it."""
         self.refused: FingerError | None = None
         """Why the newest transition that failed did."""
+        self.interrupted: Callable[[], bool] = lambda: False
+        """Whether a signal has interrupted what the node did; an error is of that."""
         self.closing = ExitStack()
         """Closes, after `cleanup`, what `configure` opened that is no interface of ROS."""
         self._live = False
@@ -379,9 +381,12 @@ class ManagedNode(LifecycleNode):
         """Report publishers of a polled topic whose QoS is incompatible."""
         self._stream_watch.check_mismatch(polled)
 
-    def expect_one_publisher(self, topic: str) -> None:
-        """Report it from now on when several publish a topic that this node reads."""
-        self._stream_watch.read.append(self.resolve_topic_name(topic))
+    def expect_one_publisher(self, topic: str, mixes: Callable[[], bool] = lambda: True) -> None:
+        """Report it from now on when several publish a topic that this node reads.
+
+        mixes: whether the node takes samples of all of them; else other readers do.
+        """
+        self._stream_watch.read[self.resolve_topic_name(topic)] = mixes
 
     # Diagnostics -----------------------------------------------------------------------------
 
@@ -501,6 +506,9 @@ class ManagedNode(LifecycleNode):
             return False
         except Exception as error:
             self._note_failure(what, f"{type(error).__name__}: {one_line(error)}")
+            if self.interrupted():
+                self.get_logger().info(f"{what} was interrupted")
+                raise
             # rclpy turns it into a failed transition silently; a defect must be visible.
             self.get_logger().error(f"{what} failed:\n{traceback.format_exc()}")
             raise

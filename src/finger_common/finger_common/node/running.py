@@ -51,13 +51,16 @@ class _SignalHandler:
 
     rclpy's own handlers end the context at once, before a node could publish its last state. Here
     a signal interrupts what comes before `spin`; during it, the running callback is finished first,
-    unless a second signal comes more than a second later.
+    unless a second signal comes more than a second later. An interruption may be lost in a callback
+    of compiled code, such as that of the compiler; the wish to end stays.
     """
 
     def __init__(self, executor: SingleThreadedExecutor) -> None:
         self._executor = executor
         self._spinning = False
         self._requested_at: float | None = None
+        self.interrupted = False
+        """Whether a signal has interrupted what the main thread did."""
         reading, writing = os.pipe()
         os.set_blocking(writing, False)
         for number in END_SIGNALS:
@@ -65,14 +68,20 @@ class _SignalHandler:
         # Python's handlers run only when the main thread is back from the middleware.
         signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
         threading.Thread(target=self._wake, args=(reading,), name="signals", daemon=True).start()
+        sys.unraisablehook = self._on_lost
 
     def _on_signal(self, number: int, frame: Any) -> None:
         now = time.monotonic()
-        if not self._spinning or (
-            self._requested_at is not None and now - self._requested_at > 1.0
-        ):
+        first, self._requested_at = self._requested_at, self._requested_at or now
+        if not self._spinning or (first is not None and now - first > 1.0):
+            self.interrupted = True
             raise KeyboardInterrupt
-        self._requested_at = self._requested_at or now
+
+    @staticmethod
+    def _on_lost(lost: Any) -> None:
+        """Python's report of an exception that nobody can catch; none of an interruption."""
+        if lost.exc_type is not KeyboardInterrupt:
+            sys.__unraisablehook__(lost)
 
     def _wake(self, reading: int) -> None:
         while os.read(reading, 64):
@@ -137,6 +146,7 @@ def run_node(node_class: type[ManagedNode], argv: Sequence[str] | None = None) -
     handler = _SignalHandler(executor)
     try:
         node = node_class()
+        node.interrupted = lambda: handler.interrupted
         executor.add_node(node)
         if node.autostart and not node.bring_up() and node.ONE_TASK and node.refused is not None:
             raise node.refused

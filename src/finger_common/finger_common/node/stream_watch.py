@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from rclpy.qos import DurabilityPolicy, QoSCompatibility, QoSProfile, qos_check_compatible
@@ -26,13 +27,14 @@ class StreamWatch:
     """Reports in a node's first health what harms its streams; `look` is called each second.
 
     published: publishers of streams. polled: subscriptions whose QoS events nobody else reads.
-    read: topics (resolved names) that the node reads, each of which one publisher should give.
+    read: topics (resolved names) that the node reads, each of which one publisher should give, with
+    whether the node would mix several.
     """
 
     def __init__(self, node: ManagedNode) -> None:
         self.published: list[Any] = []
         self.polled: list[PolledSubscription] = []
-        self.read: list[str] = []
+        self.read: dict[str, Callable[[], bool]] = {}
         self._node = node
         self._mismatches: dict[str, QoSProfile] = {}
         self._shared_since: dict[str, float] = {}
@@ -106,15 +108,15 @@ class StreamWatch:
     def _report_mixed_inputs(self) -> None:
         """Report topics that the node reads and several publish."""
         mixed = []
-        for topic in self.read:
+        for topic, mixes in self.read.items():
             several = self._node.count_publishers(topic) > 1  # costs less
             names = self._publishers_of(topic) if several else []
             if len(set(names)) > 1 or self._lasts_twice(topic, names):
-                mixed.append(f"{topic} is published by {' and '.join(sorted(names))}")
-        text = "; ".join(mixed)
+                who = "this node mixes" if mixes() else "readers in other processes mix"
+                mixed.append(f"{topic} is published by {' and '.join(sorted(names))}: {who} them")
         if mixed:
-            text += ": this node mixes them; end one, or give it another topic"
-        self._tell(MIXED_INPUT, text, WARN)
+            mixed.append("end one, or give it another topic")
+        self._tell(MIXED_INPUT, "; ".join(mixed), WARN)
 
     def _tell(self, key: str, text: str, level: int) -> None:
         """Report a fault of the node, none where the text is empty."""

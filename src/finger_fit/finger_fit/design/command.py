@@ -17,7 +17,7 @@ from rich.table import Table
 
 from finger_common.cli import Parser, add_settings, plain, settings_from
 from finger_common.console import Console
-from finger_common.errors import InputError
+from finger_common.errors import InputError, put_once
 from finger_common.files import atomic_write
 from finger_model.finger import load_areas
 from finger_model.laws import ParameterSpace
@@ -109,8 +109,9 @@ def finger_of(text: str, space: ParameterSpace) -> np.ndarray:
         values = {}
         for part in text.split(","):
             name, _, number = part.partition("=")
-            known = name.strip() in space.names
-            values[name.strip()] = value_of(number, space[name.strip()]) if known else math.nan
+            name = name.strip()
+            value = value_of(number, space[name]) if name in space.names else math.nan
+            put_once(values, name, value, f"finger '{text}'")
     if set(values) != set(space.names) or not np.isfinite(list(values.values())).all():
         raise InputError(
             f"finger '{text}': give one of {', '.join(CONDITIONS)}, or all of "

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from finger_common.errors import InputError
+from finger_common.errors import InputError, put_once
 from finger_common.files import load_yaml
 from finger_common.settings import Settings, setting
 from finger_model.paper import PRESS_DURATION, TARGET_FORCE, TRIALS_PER_CONDITION
@@ -188,13 +188,14 @@ def _plan_of(text: str) -> tuple[str, Plan]:
                 f"{', '.join(known)}"
             )
         try:
-            values[found.name] = type(found.default)(value.strip())
+            number = type(found.default)(value.strip())
         except ValueError:
             raise InputError(
                 f"plan '{text}': {found.name} is '{value.strip()}'; give a "
                 f"{'whole number' if isinstance(found.default, int) else 'number'}"
                 f"{f' in {found.unit}, without the unit' if found.unit else ''}"
             ) from None
+        put_once(values, found.name, number, f"plan '{text}'")
     if not name.strip():
         raise InputError(f"plan '{text}': a name is needed, as in slow:shortest=2,longest=8")
     return name.strip(), Plan(**values)

@@ -261,6 +261,6 @@ class FitProblem:
         if self.indentations is not None:
             parts += [self.indentations.measured.tobytes(), self.indentations.sd.tobytes()]
         for trial in self.trials:
-            parts += [trial.time.tobytes(), trial.force.tobytes(), trial.frames.tobytes()]
+            parts += [part.tobytes() for part in trial.drive.to_model(trial.frames)]
         parts.append(str(getattr(self.model, "hash", "")).encode())
         return sha256_of([sha256_of(b"".join(parts)), self.options.loss, self.options.huber_scale])

@@ -50,9 +50,9 @@ def trial_outputs(
     parameters (P, D). Raises InputError for a model without indentations where they are needed.
     """
     if not any(len(t.indentation) for t in trials):
-        return batch_areas(model, parameters, [(t.time, t.force, t.frames) for t in trials])
+        return batch_areas(model, parameters, [t.drive.to_model(t.frames) for t in trials])
     rows = [np.union1d(t.frames, t.drive.indentation_rows) for t in trials]
-    drives = [(t.time, t.force, wanted) for t, wanted in zip(trials, rows)]
+    drives = [t.drive.to_model(wanted) for t, wanted in zip(trials, rows)]
     found = batch_contacts(model, parameters, drives)
     return [
         np.concatenate(

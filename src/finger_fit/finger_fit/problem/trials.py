@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from finger_common.contact_threshold import contacts
+from finger_common.contact_threshold import LIFTOFF_FORCE, contacts
 from finger_common.flags import AreaFlag
 from finger_offline.unloaded import LATE_START, Tare, unloaded_tare
 
@@ -45,8 +45,9 @@ class Drive:
 
     time (n,), force (n,): at the model's steps; frames (k,), indentation_rows (q,): indices into
     time at which areas and indentations are compared; record_time (r,), record_force (r,): force
-    during the contact as recorded, for plots; tare: N, taken off the force; lag: s by which the
-    images' stamps are late.
+    during the contact as recorded, for plots; before_time, before_force (h,): contacts before, of
+    which the tissue may not have recovered, times below 0; tare: N, taken off the force; lag: s by
+    which the images' stamps are late.
     """
 
     time: np.ndarray
@@ -55,8 +56,24 @@ class Drive:
     indentation_rows: np.ndarray
     record_time: np.ndarray
     record_force: np.ndarray
+    before_time: np.ndarray
+    before_force: np.ndarray
     tare: float
     lag: float
+
+    def to_model(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Time, force and rows of all that drives the model, where rows (f,) of `time` are
+        wanted."""
+        return (
+            np.concatenate([self.before_time, self.time]),
+            np.concatenate([self.before_force, self.force]),
+            len(self.before_time) + rows,
+        )
+
+    @property
+    def highest(self) -> float:
+        """Largest force (N) that drives the model."""
+        return float(max(self.force.max(), self.before_force.max(initial=0.0)))
 
 
 @dataclass(frozen=True)
@@ -66,7 +83,8 @@ class Recording:
     time, force, smooth (n,): as recorded, and low-passed; driving (n,): as the model gets it;
     onset: index of the first sample that counts; last: of the last sample of the contact;
     frame_time (m,): of all frames; counted (k,): indices of those that count; indentation_time
-    (q,): at which the indentation is compared, on the clock of the force.
+    (q,): at which the indentation is compared, on the clock of the force; before_time, before (h,):
+    force before, times below 0, empty where it is not known or has no effect any more.
     """
 
     time: np.ndarray
@@ -78,6 +96,24 @@ class Recording:
     frame_time: np.ndarray
     counted: np.ndarray
     indentation_time: np.ndarray
+    before_time: np.ndarray
+    before: np.ndarray
+
+    def contacts_before(
+        self, tare: float, until: float, options: FitOptions
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Times (h,) in s and forces (h,) in N of the contacts before a time (s), from rest on;
+        nothing without one. tare: N."""
+        known = self.before_time < until
+        time, force = self.before_time[known], self.before[known] - tare
+        if not np.any(force >= options.onset_force):
+            return np.empty(0), np.empty(0)
+        force[force < LIFTOFF_FORCE] = 0.0
+        force[0] = 0.0
+        # Of a rest, its ends are enough.
+        touched = np.pad(force > 0.0, 1)
+        kept = touched[:-2] | touched[1:-1] | touched[2:]
+        return time[kept], force[kept]
 
     def drive(self, tare: float, lag: float, options: FitOptions) -> Drive:
         """Make the drive for a tare (N) of the force and a lag (s) of the images."""
@@ -98,6 +134,7 @@ class Recording:
         driving = np.maximum(np.interp(knots, time, self.driving - tare), 0.0)
         driving[knots <= time[touch]] = 0.0
         frames, rows = (np.searchsorted(knots, t - 2e-9) for t in (counted, self.indentation_time))
+        before_time, before_force = self.contacts_before(tare, start, options)
         shown = slice(int(np.searchsorted(time, knots[0])), self.last + 1)
         return Drive(
             knots - knots[0],
@@ -106,6 +143,8 @@ class Recording:
             rows,
             time[shown] - knots[0],
             self.force[shown] - tare,
+            before_time - knots[0],
+            before_force,
             tare,
             lag,
         )
@@ -242,8 +281,11 @@ class _Streams:
         return float(np.median(np.diff(self.frame_time)))
 
 
-def prepare(record: Any, options: FitOptions) -> FitTrial:
-    """Drive and frames of one recorded trial; raises TrialRejected with the reason."""
+def prepare(record: Any, options: FitOptions, memory: float = 0.0) -> FitTrial:
+    """Drive and frames of one recorded trial; raises TrialRejected with the reason.
+
+    memory: s before its onset whose contacts have an effect, as of `FitOptions.memory`.
+    """
     target = options.target_of(record)
     if target <= options.onset_force:
         raise TrialRejected(
@@ -271,7 +313,18 @@ def prepare(record: Any, options: FitOptions) -> FitTrial:
         # limit.
         driving = smoothed(time, force, 0.45 / streams.period)
     indented, indentation = _indentation(record, streams.start, frame_time[counted], options)
-    recording = Recording(time, force, smooth, driving, first, last, frame_time, counted, indented)
+    recording = Recording(
+        time,
+        force,
+        smooth,
+        driving,
+        first,
+        last,
+        frame_time,
+        counted,
+        indented,
+        *_before(record, streams.start, time[first] - memory),
+    )
     drive = recording.drive(tare, 0.0, options)
     sd = np.asarray(record.area_sd, dtype=float)
     return FitTrial(
@@ -396,6 +449,17 @@ def _indentation(
     return instants[known], np.interp(instants[known], time, smooth)
 
 
+def _before(record: Any, start: int, since: float) -> tuple[np.ndarray, np.ndarray]:
+    """Find times (h,) in s and forces (h,) in N from a time (s) to the first sample of a record;
+    nothing where none is known. start: ns, time 0."""
+    stamps = np.asarray(getattr(record, "history_ns", ()), dtype=np.int64)
+    time, force = (stamps - start) * 1e-9, np.asarray(getattr(record, "history", ()), dtype=float)
+    kept = time >= since
+    if not kept.any():
+        return np.empty(0), np.empty(0)
+    return np.append(time[kept], 0.0), np.append(force[kept], float(record.force[0]))
+
+
 def label_of(record: Any) -> str:
     """Name of a trial: its bag and its index."""
     name = str(record.bag).rstrip("/").rsplit("/", 1)[-1]
@@ -455,13 +519,13 @@ def drive_times(
 
 
 def prepare_all(
-    records: Sequence[Any], options: FitOptions
+    records: Sequence[Any], options: FitOptions, memory: float = 0.0
 ) -> tuple[list[FitTrial], list[Exclusion]]:
-    """Usable trials, and the excluded ones with their reasons."""
+    """Usable trials, and the excluded ones with their reasons; memory: s, as of `prepare`."""
     trials, exclusions = [], []
     for record in records:
         try:
-            trials.append(prepare(record, options))
+            trials.append(prepare(record, options, memory))
         except TrialRejected as reason:
             exclusions.append(Exclusion.of(record, str(reason)))
     return trials, exclusions

@@ -16,6 +16,7 @@ from finger_model.geometry import Geometry
 from finger_offline.lag import MAXIMUM_LAG, WORTH_A_NOTE, log_lag
 from finger_offline.trial_checks import fault_of
 
+from ..options import FitOptions
 from ..problem import FitTrial
 from ..problem.moisture import moisture_clusters
 from ..problem.trials import label_of
@@ -77,7 +78,7 @@ def quality_of(fit: ConditionFit) -> Quality:
     problem = fit.problem
     out = Quality()
     costs = problem.trial_costs(fit.areas)
-    drives = [_drive(trial) for trial in problem.trials]
+    drives = [_drive(trial, problem.options) for trial in problem.trials]
     curves = problem.model.batch(fit.parameters[None], drives)
     for index, trial in enumerate(problem.trials):
         part = slice(problem.starts[index], problem.starts[index + 1])
@@ -112,12 +113,15 @@ def _flags(trial: FitTrial) -> np.ndarray:
     return np.asarray(trial.record.area_flags, dtype=np.int64)[trial.recording.counted]
 
 
-def _drive(trial: FitTrial) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Time, force and rows of the whole press at even steps, for the model."""
+def _drive(trial: FitTrial, options: FitOptions) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Time and force for the model, the contacts before and the whole press at even steps, and the
+    rows of the press."""
     found = trial.recording
     steps = np.arange(0.0, found.time[-1], STEP)
     force = np.maximum(np.interp(steps, found.time, found.force) - trial.drive.tare, 0.0)
-    return steps, force, np.arange(len(steps))
+    before, forces = found.contacts_before(trial.drive.tare, 0.0, options)
+    rows = len(before) + np.arange(len(steps))
+    return np.concatenate([before, steps]), np.concatenate([forces, force]), rows
 
 
 def _gain(model: np.ndarray, area: np.ndarray, weight: np.ndarray) -> float:
@@ -130,7 +134,7 @@ def _gain(model: np.ndarray, area: np.ndarray, weight: np.ndarray) -> float:
 def _lag(trial: FitTrial, drive: tuple[np.ndarray, ...], curve: np.ndarray) -> float:
     # After the frames that count the force may be more than the model can follow.
     known = np.isfinite(curve)
-    time, force = drive[0][known], drive[1][known]
+    time, force = (values[drive[2]][known] for values in drive[:2])
     frames, area = trial.recording.frame_time, np.asarray(trial.record.area, dtype=float)
     area = np.where(frames <= time[-1] + STEP, area, np.nan)
     found = log_lag(time, force, curve[known], frames, area)

@@ -117,8 +117,8 @@ def _logarithms(fit: ConditionFit, name: str) -> tuple[np.ndarray, str]:
     and of errors that are cut off at the box those that two conditions share do not cancel. Row k
     of two conditions has the same errors of what they share.
     """
-    known, seed = fit.covariance, fit.problem.options.seed
-    assert known is not None
+    assert fit.covariance is not None
+    known, seed = fit.covariance.released(fit.problem.box), fit.problem.options.seed
     own = np.random.default_rng([seed, *fit.condition.encode()])
     # No resampling of the presses shows what they share: with nuisances, the covariance does.
     samples = fit.samples

@@ -339,7 +339,7 @@ def _distinct(places: np.ndarray, costs: np.ndarray, number: int) -> list[int]:
 
 def drive_areas(problem: FitProblem, parameters: np.ndarray) -> list[np.ndarray]:
     """Model area (n,) in m² at every step of each trial's drive, corrected as at the frames."""
-    drives = [(t.time, t.force, np.arange(len(t.time))) for t in problem.trials]
+    drives = [t.drive.to_model(np.arange(len(t.time))) for t in problem.trials]
     curves = [areas[0] for areas in problem.model.batch(parameters[None], drives)]
     if problem.correction is None:
         return curves

@@ -18,12 +18,13 @@ STEP = 0.04
 
 def deformed_finger(fit: ConditionFit, trial: int, full_order: FullOrder) -> DeformedFinger:
     """Run the full-order model over one trial of a fit; raises ModelError where it cannot."""
-    drive = fit.problem.trials[trial]
+    drive = fit.problem.trials[trial].drive
+    time, forces, _ = drive.to_model(drive.frames)
     model = FullOrderModel(full_order.geometry)
-    stepper = model.start(full_order.material.with_vector(fit.parameters), float(drive.time[0]))
-    number = max(int(np.ceil(drive.time[-1] / STEP)), 2)
-    for instant in np.linspace(drive.time[0], drive.time[-1], number + 1)[1:]:
-        force = float(np.interp(instant, drive.time, drive.force))
+    stepper = model.start(full_order.material.with_vector(fit.parameters), float(time[0]))
+    number = max(int(np.ceil((time[-1] - time[0]) / STEP)), 2)
+    for instant in np.linspace(time[0], time[-1], number + 1)[1:]:
+        force = float(np.interp(instant, time, forces))
         point = stepper.step(float(instant), force)
     fields = stepper.fields()
     strain = shear_strain(fields.nodes, fields.deformed, fields.cells)

@@ -193,7 +193,8 @@ def force_modes(fit: ConditionFit) -> dict[str, dict[str, float]]:
     options, headline = fit.problem.options, fit.space.headline
     other = "paper" if options.force == "full" else "full"
     changed = replace(options, force=other)
-    trials, _ = prepare_all([trial.record for trial in fit.problem.trials], changed)
+    records = [trial.record for trial in fit.problem.trials]
+    trials, _ = prepare_all(records, changed, changed.memory(fit.problem.space))
     problem = FitProblem(trials, fit.problem.model, changed)
     problem.weigh(fit.problem.area_noise)
     if len(problem.observed) == len(fit.problem.observed):

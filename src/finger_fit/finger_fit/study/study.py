@@ -62,12 +62,12 @@ def fit_records(
     if not options.pool:
         _check_fingers(records)
     screened = screen(records, options.indentation_sd > 0)
-    trials, excluded = prepare_all(screened.records, options)
+    trials, excluded = prepare_all(screened.records, options, options.memory(model.space))
     exclusions = [*screened.exclusions, *excluded]
     notes = list(screened.notes)
     if not trials:
         raise nothing_to_fit(exclusions)
-    highest = max(float(trial.force.max()) for trial in trials)
+    highest = max(trial.drive.highest for trial in trials)
     corners = np.array(list(itertools.product(*options.box(model.space))))
     given, model = model, serving(model, highest, corners)
     if model is not given:

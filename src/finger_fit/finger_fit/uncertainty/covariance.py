@@ -31,6 +31,10 @@ from ..problem import FitProblem, robust_factor, slope_between
 AT_BOUND = 1e-3
 """A parameter this close to a bound, in its coordinate, lies on it."""
 
+WITHIN_BOX = 3.0**-0.5
+"""Distance of a bound from a place in the search box, root mean square, over the width of the box:
+how far a parameter on a bound may be off."""
+
 _CENTRAL = 5e-3
 """Step of the central differences in the coordinates."""
 
@@ -66,6 +70,24 @@ class Covariance:
             moves = self.responses(free)[self.assumed]
             found += moves.T @ moves
         return found
+
+    def released(self, box: np.ndarray) -> Covariance:
+        """The same with the parameters on a bound free to move, of which no more is known than that
+        they lie in the search box (N, 2)."""
+        if not self.active:
+            return self
+        low, high = self.space.to_log(box.T)
+        held = [self.space.index(name) for name in self.active]
+        variance = self.variance or self.noise**2
+        own = np.zeros(len(self.prior))
+        own[held] = variance / (WITHIN_BOX * (high - low)[held]) ** 2
+        return replace(
+            self,
+            curvature=self.curvature + np.diag(own),
+            prior=self.prior + own,
+            variance=variance,
+            active={},
+        )
 
     def holds(self, name: str) -> bool:
         """Whether a quantity follows from parameters on a bound alone, so that samples of

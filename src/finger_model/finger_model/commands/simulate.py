@@ -15,7 +15,7 @@ import numpy as np
 
 from finger_common.cli import one_line
 from finger_common.errors import InputError, ModelError
-from finger_common.files import atomic_write, check_output
+from finger_common.files import atomic_write, check_outputs
 from finger_common.progress import Stages
 
 from ..fem.elasticity import ELASTICITIES, NEO_HOOKE
@@ -131,8 +131,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Carry out the subcommand."""
     names = ("force", "geometry", "material", "parameters", "reduced_model")
     inputs = [getattr(arguments, name) for name in names]
-    for output in (arguments.output, arguments.plot, arguments.vtu):
-        check_output(output, inputs)
+    check_outputs([arguments.output, arguments.plot, arguments.vtu], inputs)
     geometry, material = _finger(arguments)
     time, force, pull = read_load_csv(arguments.force)
     if not np.any(force > 0.0):

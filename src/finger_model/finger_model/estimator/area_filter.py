@@ -12,9 +12,11 @@ gain, slope and w = (stiffness, creep time, creep) belong to the finger and last
 ∂ln A/∂w are sensitivities of the reduced model along the present history (`members`), which runs at
 the shift w₀. moisture is the error of the reading in standard deviations of the population, u what
 it does to the other coordinates. d, e and f belong to the contact (drawn anew at each onset), and d
-drifts within a contact, in the end as far as from one contact to another. The model ends at a force
-limit; φ is held there, and f is the exponent of the area over β = ln(F / limit) beyond it, so that
-areas measured there tell little of the finger.
+drifts within a contact, in the end as far as from one contact to another. In a contact that was
+pressed beyond KNOWN_FORCE it also walks with φ, up and down, as the numbers of the finger describe
+neither the areas there nor those after it that well. The model ends at a force limit; φ is held
+there, and f is the exponent of the area over β = ln(F / limit) beyond it, so that areas measured
+there tell little of the finger.
 
 How much contacts of one finger differ is not known beforehand: presses of a simulated finger are
 all alike, real ones scatter by 5 %. So a bank of such filters runs side by side, with SCALES times
@@ -60,6 +62,9 @@ STATES = CONTACT + 3
 BEYOND_DEVIATION = 0.5
 """Of f: beyond the force limit the area may stay, or grow with the root of the force."""
 
+MOST_BEYOND = math.log(2.0)
+"""Of β: at larger forces the area hardly grows any more."""
+
 GAIN_OF_INDENTATION = 0.5
 """ln δ answers to gains of the area by this: a larger finger has A ∝ L², δ ∝ L."""
 
@@ -69,6 +74,9 @@ and measurement."""
 
 LEAST_FORCE = 0.05
 """N, below which φ is held."""
+
+KNOWN_FORCE = 1.35
+"""N, up to which presses were that the finger's numbers describe; see `walk_variance`."""
 
 _ITERATIONS = 20
 
@@ -82,6 +90,8 @@ FILTER_BANK = np.dtype(
         ("newest", "f8"),  # ln of the newest fused area over the model's
         ("tolerance", "f8"),  # HULL deviations of it
         ("stamp", "i8"),  # ns, time of mean and covariance
+        ("phi", "f8"),  # at that time; before an area of the contact, that of KNOWN_FORCE
+        ("load", "f8"),  # ln of the contact's largest force over KNOWN_FORCE, 0 below
         ("moisture_stamp", "i8"),  # ns, until which the reading of the moisture has aged
         ("outliers", "i8"),  # in a row
         ("areas", "i8"),  # of this finger that were compared so far
@@ -103,6 +113,7 @@ FILTER_NOISE = np.dtype(
         ("contact_variance", "f8"),  # of d
         ("drift_variance", "f8"),  # of d within 1 s, at first
         ("drift_limit", "f8"),  # what it grows to in the end
+        ("walk_variance", "f8"),  # of d over 1 in φ, in a contact whose load is 1
         ("model_variance", "f8"),  # of ln A by the reduced model itself
         ("gain_variance", "f8"),  # of the factor that all measured areas share
         ("outlier_limit", "f8"),  # standard deviations
@@ -136,7 +147,7 @@ def regressors(noise, force, limit, sensitivity, gain, h):
     h[MOISTURE] = moisture
     h[CONTACT] = gain
     h[CONTACT + 1] = gain * phi
-    h[CONTACT + 2] = gain * math.log(max(force / limit, 1.0))
+    h[CONTACT + 2] = gain * min(math.log(max(force / limit, 1.0)), MOST_BEYOND)
 
 
 @njit(cache=True)
@@ -240,6 +251,7 @@ def begin_contact(bank, noise, stamp):
         bank.log_weight[k] *= MEMORY_BETWEEN_CONTACTS
     bank.stamp = stamp
     bank.moisture_stamp = max(stamp, bank.moisture_stamp)
+    bank.phi, bank.load = math.log(KNOWN_FORCE), 0.0
     bank.outliers = 0
     bank.measured = False
     mixture_mean(bank, bank.start)
@@ -303,17 +315,27 @@ def _normalised(bank, k, noise, h, offset, model_area, area, sd):
 
 
 @njit(cache=True)
-def _drift_until(bank, noise, k, stamp):
-    """Variance that d of filter k gains until `stamp`: of a process of Ornstein and Uhlenbeck."""
-    walked = DRIFT_SCALES[k] ** 2 * noise.drift_variance * max((stamp - bank.stamp) * 1e-9, 0.0)
-    return -noise.drift_limit * math.expm1(-walked / noise.drift_limit)
+def follow_load(bank, force):
+    """The contact's force is `force` (N) now."""
+    bank.load = max(bank.load, math.log(max(force / KNOWN_FORCE, 1.0)))
 
 
 @njit(cache=True)
-def _add_drift(bank, noise, stamp, sign):
-    """Add the drift until `stamp` to the variance of d; sign −1 takes it off again."""
+def _drift_until(bank, noise, k, stamp, phi):
+    """Variance that d of filter k gains until `stamp` and `phi`: by time that of a process of
+    Ornstein and Uhlenbeck, by force that of a walk."""
+    walked = DRIFT_SCALES[k] ** 2 * noise.drift_variance * max((stamp - bank.stamp) * 1e-9, 0.0)
+    load = max(bank.load, phi - math.log(KNOWN_FORCE))
+    by_force = noise.walk_variance * load * abs(phi - bank.phi)
+    return by_force - noise.drift_limit * math.expm1(-walked / noise.drift_limit)
+
+
+@njit(cache=True)
+def _add_drift(bank, noise, stamp, phi, sign):
+    """Add the drift until `stamp` and `phi` to the variance of d; sign −1 takes it off again."""
     for k in range(FILTERS):
-        bank.covariance[k, CONTACT, CONTACT] += sign * _drift_until(bank, noise, k, stamp)
+        drift = _drift_until(bank, noise, k, stamp, phi)
+        bank.covariance[k, CONTACT, CONTACT] += sign * drift
 
 
 @njit(cache=True)
@@ -347,7 +369,8 @@ def correct(bank, noise, stamp, h, offset, model_area, area, sd):
 
     h (9,), offset = s w₀ and model_area (m²) are those of the stamp; area, sd in m².
     """
-    _add_drift(bank, noise, stamp, 1.0)
+    phi = h[CONTACT + 1] / h[CONTACT]
+    _add_drift(bank, noise, stamp, phi, 1.0)
     least = math.inf
     for k in range(FILTERS):
         least = min(least, _normalised(bank, k, noise, h, offset, model_area, area, sd))
@@ -358,7 +381,7 @@ def correct(bank, noise, stamp, h, offset, model_area, area, sd):
     if least > noise.outlier_limit**2:
         bank.outliers += 1
         if bank.outliers < ACCEPTED_OUTLIERS:
-            _add_drift(bank, noise, stamp, -1.0)
+            _add_drift(bank, noise, stamp, phi, -1.0)
             return False
         # The filters were too confident.
         _widen(bank, noise)
@@ -368,6 +391,7 @@ def correct(bank, noise, stamp, h, offset, model_area, area, sd):
     bank.newest = math.log(area / model_area)
     bank.tolerance = math.log1p(HULL * sd / area)
     bank.stamp = max(stamp, bank.stamp)
+    bank.phi = phi
     return True
 
 
@@ -375,11 +399,9 @@ def correct(bank, noise, stamp, h, offset, model_area, area, sd):
 def estimate(bank, noise, h, offset, stamp, bounded):
     """Mean and variance of the error h x − offset at `stamp`, of the mixture.
 
-    bounded: keep the mean within prediction and newest measurement. Beyond the force limit an
-    estimate without area in its contact is that of the limit.
+    bounded: keep the mean within prediction and newest measurement.
     """
-    if not bank.measured:
-        h[CONTACT + 2] = 0.0
+    phi = h[CONTACT + 1] / h[CONTACT]
     weight = 0.0
     mean = 0.0
     square = 0.0
@@ -390,7 +412,7 @@ def estimate(bank, noise, h, offset, stamp, bounded):
         error = _product(h, bank.mean[k]) - offset
         weight += w
         mean += w * error
-        drift = h[CONTACT] * h[CONTACT] * _drift_until(bank, noise, k, stamp)
+        drift = h[CONTACT] * h[CONTACT] * _drift_until(bank, noise, k, stamp, phi)
         square += w * (_variance(bank.covariance[k], h) + drift + error * error)
     mean /= weight
     variance = max(square / weight - mean * mean, 0.0) + noise.model_variance

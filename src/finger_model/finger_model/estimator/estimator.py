@@ -3,7 +3,7 @@
 
 """Streaming estimate of a finger's contact from force, measured area and moisture.
 
-    estimator = ContactEstimator(load_online())
+    estimator = ContactEstimator(load_reduced())
     for stamp_ns, force in wrenches:
         for estimate in estimator.add_wrench(stamp_ns, force):
             print(estimate.area, estimate.area_stddev)

@@ -100,7 +100,8 @@ class FilterState:
         noise["drift_limit"] = 2.0 * (max(area_filter.SCALES) * prior.contact_sd) ** 2
         noise["slope_variance"] = prior.slope_sd**2
         noise["drift_variance"] = prior.drift_sd**2
-        config["peak"] = prior.peak_mean, prior.peak_sd
+        noise["walk_variance"] = prior.walk_sd**2
+        config["peak"] = prior.peak
         own = self.model.rms_error_of(selected.parameters)
         errors = own, prior.misfit_sd, self.pose_correction.area_sd
         noise["model_variance"] = sum(error**2 for error in errors)

@@ -14,6 +14,7 @@ from finger_common.errors import InputError, check_type
 from finger_common.flags import StateFlag
 from finger_common.moisture import MOISTURE_RANGE
 
+from ..finger_prior import NO_PEAK
 from ..laws import MaxwellLaw
 from ..parameter_sets import InterpolatedParameters, ParameterSets
 from ..reduced.model import ReducedModel
@@ -37,8 +38,8 @@ class SelectedPrior:
     mean (5,), covariance (5, 5) of the finger states; moisture_direction (5,): what one standard
     deviation of the population in moisture does to them; moisture_variance: of the reading in use,
     over the population's; moisture_wander: its growth in 1/s; misfit_sd: of ln A; contact_sd,
-    slope_sd, drift_sd: of a contact, for scale 1 of the filters; peak_mean, peak_sd: of ln (peak
-    over mean pressure) over the model's.
+    slope_sd, drift_sd: of a contact, for scale 1 of the filters; walk_sd, peak (2, n): as
+    `FingerPrior` has them.
     """
 
     mean: np.ndarray
@@ -50,8 +51,8 @@ class SelectedPrior:
     contact_sd: float
     slope_sd: float
     drift_sd: float
-    peak_mean: float = 0.0
-    peak_sd: float = 0.0
+    walk_sd: float = 0.0
+    peak: tuple[tuple[float, ...], tuple[float, ...]] = NO_PEAK, NO_PEAK
 
 
 @dataclass(frozen=True)
@@ -151,8 +152,8 @@ def _prior(
         wander,
         known.misfit_sd,
         *contact,
-        known.peak_mean,
-        known.peak_sd,
+        known.walk_sd,
+        (known.peak_mean, known.peak_sd),
     )
 
 

@@ -21,6 +21,7 @@ from finger_common.flags import StateFlag
 
 from .. import force_noise
 from ..compiled import njit
+from ..finger_prior import PEAK_FORCES
 from ..pose.correction import LARGEST_DEPTH
 from ..reduced import kernels as rk
 from . import area_filter, members
@@ -52,6 +53,8 @@ REST_TIME = 0.5
 SMALLEST_AREA = 5e-6
 """m²; below it a measured area is not compared with the model's."""
 
+_LOG_PEAK_FORCES = np.log(PEAK_FORCES)
+
 CONFIGURATION = np.dtype(
     [
         ("axis", "i8"),  # 0 x, 1 y, 2 z
@@ -67,7 +70,8 @@ CONFIGURATION = np.dtype(
         ("moisture_stamp", "i8"),  # ns
         ("flags", "i8"),  # of moisture and parameters
         ("noise", area_filter.FILTER_NOISE),
-        ("peak", "f8", (2,)),  # mean and deviation of ln (peak over mean pressure) over the model's
+        ("peak", "f8", (2, len(PEAK_FORCES))),  # mean and deviation of ln (peak over mean pressure)
+        # over the model's, at PEAK_FORCES
         ("pose", "f8", (4,)),  # see _pose_gain; zeros for a round pad on a level plate
     ]
 )
@@ -262,6 +266,14 @@ def _pose_gain(config, area):
 
 
 @njit(cache=True)
+def _peak_of(config, force):
+    """Mean and deviation of ln (peak over mean pressure) over the model's at a force (N)."""
+    phi = math.log(max(force, PEAK_FORCES[0]))
+    mean = np.interp(phi, _LOG_PEAK_FORCES, config.peak[0])
+    return mean, np.interp(phi, _LOG_PEAK_FORCES, config.peak[1])
+
+
+@njit(cache=True)
 def _remember(memory, stamp, force, area, sensitivity):
     """Keep a sample in the ring."""
     at = memory.next % REMEMBERED
@@ -407,6 +419,7 @@ def _advance_model(net, base, par, finger, work, config, state, stamp, normal_fo
         members.renew(net, par, finger, work, near, normal_force)
     else:
         members.advance(net, par, finger, work, near, stamp, normal_force, False)
+    area_filter.follow_load(state.filters, min(normal_force, _limit(par[0], finger[0])))
     _follow_limit(state, _is_beyond(par[0], finger[0], normal_force), stamp)
     gain, _ = _pose_gain(config, finger[0].area)
     _remember(state.memory, stamp, normal_force, gain * finger[0].area, near.area)
@@ -440,12 +453,13 @@ def _write_contact(config, state, finger, normal_force, limit, stamp, row):
     pressure = normal_force / area
     row.mean_pressure = pressure
     row.mean_pressure_stddev = pressure * deviation
-    row.peak_pressure = finger.peak_pressure * math.exp(config.peak[0] - error) / own_gain
+    peak_mean, peak_sd = _peak_of(config, normal_force)
+    row.peak_pressure = finger.peak_pressure * math.exp(peak_mean - error) / own_gain
     if normal_force > limit:
         # The model's force ends there; as the mean pressure does, it grows on with the force.
         row.peak_pressure *= normal_force / limit
     row.peak_pressure_stddev = row.peak_pressure * area_filter.deviation_of(
-        variance + PEAK_DEVIATION * PEAK_DEVIATION + config.peak[1] * config.peak[1]
+        variance + PEAK_DEVIATION * PEAK_DEVIATION + peak_sd * peak_sd
     )
     # Gains and the contact's own error: half in length (see GAIN_OF_INDENTATION), and that half
     # uncertain.
@@ -669,7 +683,7 @@ def predicted(net, par, finger, work, near, configuration, states, time, force, 
             error, _ = area_filter.estimate(filters, noise, h, offset, filters.stamp, True)
             own_gain, _ = _pose_gain(config, found[i, 0])
             table[i, 0] *= own_gain * math.exp(error)
-            table[i, 2] *= math.exp(config.peak[0] - error) / own_gain
+            table[i, 2] *= math.exp(_peak_of(config, force[i])[0] - error) / own_gain
             sensitivity = found[i, 3 + members.DIRECTIONS :]
             area_filter.regressors(noise, force[i], limit, sensitivity, gain, h)
             offset = _offset(state, sensitivity)

@@ -98,9 +98,9 @@ def random_history(
     if kind == "taps":
         # One after the other without a pause: strain is left from tap to tap, until it settles.
         period, share, taps = rng.uniform(0.25, 1.0), rng.uniform(0.3, 0.7), rng.integers(4, 8)
-        time = np.arange(taps)[:, None] * period + period * np.array([share, 1.0])
-        force = peak * rng.uniform(0.7, 1.0, taps)[:, None] * np.array([1.0, 0.0])
-        return _fine([0.0, *time.ravel()], [0.0, *force.ravel()], 3.0 * step)
+        corners = period * (np.arange(taps)[:, None] + np.array([share, 1.0]))
+        peaks = peak * rng.uniform(0.7, 1.0, taps)[:, None] * np.array([1.0, 0.0])
+        return _fine([0.0, *corners.ravel()], [0.0, *peaks.ravel()], 3.0 * step)
     if kind == "random":
         time, force = [0.0], [0.0]
         for _ in range(int(rng.integers(3, 6))):

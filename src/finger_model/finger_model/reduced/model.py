@@ -35,6 +35,8 @@ SHIPPED = "reduced_default.npz"
 paper's search box."""
 
 SHIPPED_POPULATION = "reduced_population.npz"
+POPULATION = "population"
+"""In place of a file: the shipped model of the population box, for any finger, to about 10 N."""
 
 LAW = StandardLinearSolid
 """The law that models are trained on; their maps hold for any branches (see `training_runs`)."""
@@ -235,10 +237,13 @@ class ReducedModel:
         """From a file of `finger-model reduce`; None for a shipped one.
 
         That is the one of the default geometry or, for another geometry, of the population box.
+        With POPULATION in place of a file it is that of the population box for any geometry.
 
         Raises InputError for a file that is not one, of another version, or made for another
         geometry than `geometry` (when given), and for a finger outside the box.
         """
+        if path == POPULATION:
+            return load_population(geometry or Geometry())
         if path is None:
             if geometry is not None and geometry.hash() != Geometry().hash():
                 return load_population(geometry)

@@ -58,8 +58,8 @@ SOFT_SHARE_OF_MIDDLE = 0.2
 """The same of the further histories of the middle box."""
 
 LONG_HOLD = "long hold"
-REFINING = ("ramp", "hold", "release", "release", "reload", "reload", "human", "random")
-REFINING += ("tapping", "taps")
+_ROUGH = "tapping", "taps", "human", "random"
+REFINING = ("ramp", "hold", "release", "release", "reload", "reload", *_ROUGH)
 """Kinds of the histories that refine the networks, beside LONG_HOLD."""
 
 SUDDEN_STEP, SLOW_STEP = 1e-9, 1e7

@@ -3,6 +3,7 @@
 
 """Will it slip? Stick ratio, margin and probability of slip, and friction, sample by sample.
 
+    model = load_reduced()
     contact, slip = ContactEstimator(model), SlipEstimator()
     for stamp_ns, force in wrenches:
         for estimate in contact.add_wrench(stamp_ns, force):

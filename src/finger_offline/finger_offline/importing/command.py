@@ -11,7 +11,7 @@ import re
 import shutil
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +22,9 @@ from finger_common.files import exists, sha256_of_file
 from finger_common.progress import Stages
 
 from ..trial_split import CONDITION
-from .grouped import cell_text, recordings
+from .grouped import Part, cell_text, recordings
 from .settings import PATHS, ImportSettings
-from .tables import Table, read_table
+from .tables import read_table
 
 NAME = "name"
 """Column of a table of trials with the name of the bag."""
@@ -83,7 +83,12 @@ def run(args: argparse.Namespace) -> int:
             try:
                 for row in stages.track(rows, "recordings", len(rows)):
                     try:
-                        found = import_trial(row.settings, partial / row.name, tables=row.tables)
+                        found = import_trial(
+                            row.settings,
+                            partial / row.name,
+                            tables=row.part.tables,
+                            before=row.part.before,
+                        )
                     except InputError as error:
                         raise InputError(f"{row.where}: {error}") from None
                     done.append(found)
@@ -99,13 +104,13 @@ def run(args: argparse.Namespace) -> int:
 
 @dataclass(frozen=True)
 class Recording:
-    """What becomes one bag: where it is described, its name, settings, and tables in place of its
+    """What becomes one bag: where it is described, its name, settings, and its part of the
     files."""
 
     where: str
     name: str
     settings: ImportSettings
-    tables: dict[str, Table] = field(default_factory=dict)
+    part: Part
 
 
 class _Names:
@@ -144,9 +149,9 @@ class _Names:
 def named_recordings(settings: ImportSettings) -> Iterator[Recording]:
     """The recordings that columns of the tables tell apart; raises InputError."""
     names = _Names()
-    for words, own, tables in recordings(settings):
-        where = f"{settings.force}, {words}"
-        yield Recording(where, *names.add(where, own), tables)
+    for part in recordings(settings):
+        where = f"{settings.force}, {part.words}"
+        yield Recording(where, *names.add(where, part.settings), part)
 
 
 def rows_of(args: argparse.Namespace) -> Iterator[Recording]:
@@ -193,9 +198,9 @@ def rows_of(args: argparse.Namespace) -> Iterator[Recording]:
                 )
         if settings.grouping and cells.get(NAME):
             raise InputError(f"{where}: gives several bags; leave '{NAME}' empty")
-        for words, own, tables in recordings(settings):
-            named = names.add(where, own, cells.get(NAME, ""), bool(cells.get("index")))
-            yield Recording(f"{where}{words and ', '}{words}", *named, tables)
+        for part in recordings(settings):
+            named = names.add(where, part.settings, cells.get(NAME, ""), bool(cells.get("index")))
+            yield Recording(f"{where}{part.words and ', '}{part.words}", *named, part)
 
 
 def _path(folder: Path, text: str, where: str) -> str:

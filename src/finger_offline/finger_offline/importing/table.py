@@ -74,8 +74,9 @@ class Table:
 
     units: a row of units below the headings, where there was one. first_row: number of the first
     row of values, for errors. Columns of one heading have it with " #1", " #2", … behind it.
-    problems: what of the file could not be read. parts: names of the file's other parts, where
-    none was named. hint: why a column of it may hold no number.
+    problems: what of the file could not be read; notes: what a reader of its data should know.
+    parts: names of the file's other parts, where none was named. hint: why a column of it may hold
+    no number.
     """
 
     where: str
@@ -83,6 +84,7 @@ class Table:
     units: Mapping[str, str] = field(default_factory=dict)
     first_row: int = 1
     problems: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     parts: tuple[str, ...] = ()
     hint: str = ""
 

@@ -9,7 +9,7 @@ import functools
 import heapq
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -28,13 +28,14 @@ from finger_common.trial_phases import TrialPhase
 from finger_vision.area_sensor import AREA_SENSORS, measured
 from finger_vision.calibration import PlateCalibration
 
-from ..held_areas import held_rows
+from ..held_areas import held_rows, held_text
 from ..image_areas import Repeats, area_fields
 from ..image_settings import told_settings
 from ..indentation_checks import indentation_fault
 from ..lag import MAXIMUM_LAG, indentation_lag, lag_text
 from ..trial_checks import PLAUSIBLE_AREA
-from ..unloaded import reached_force, smooth_force, without_spikes
+from ..trial_split import TrialSettings
+from ..unloaded import pressed_force, reached_force
 from .force import Force, check_tare, presses_in, read_force, unloaded
 from .pictures import Frame, frames_of
 from .series import (
@@ -91,15 +92,17 @@ def import_trial(
     target: str | Path,
     show: Progress | None = None,
     tables: Mapping[str, Table] | None = None,
+    before: Table | None = None,
 ) -> Imported:
     """Write the bag `target` of one recording; may hold several presses.
 
-    tables: in place of the files that the settings name, by their names.
+    tables: in place of the files that the settings name, by their names. before: rows of the force
+    before the recording, by the same clock, whose presses are of other bags.
 
     Raises InputError, and writes nothing, for files that cannot be read, or whose values cannot be
     those of a finger (unit, sign, clock).
     """
-    recording = _Recording(settings, Path(target), show, tables or {})
+    recording = _Recording(settings, Path(target), show, tables or {}, before)
     streams = (
         recording.events(),
         recording.wrenches(),
@@ -133,6 +136,7 @@ class _Recording:
         target: Path,
         show: Progress | None,
         tables: Mapping[str, Table],
+        before: Table | None,
     ) -> None:
         self.settings = settings
         self.result = Imported(target)
@@ -145,13 +149,35 @@ class _Recording:
         for stamp in (int(stamps[0]), int(stamps[-1])):
             check_stamp(stamp, settings.force)
         self._force = Force(stamps, force, -force[:, 2])
+        self._earlier = self._force_before(before)
 
     # Tables ----------------------------------------------------------------------------------
 
     def _table(self, name: str) -> Table:
         table = self._tables.get(name) or read_table(name)
         self.result.problems += table.problems
+        self.result.notes += [note for note in table.notes if note not in self.result.notes]
         return table
+
+    def _force_before(self, table: Table | None) -> Force | None:
+        """The force before the recording; None without one, and where it ends in a press, of which
+        the recording has the other part."""
+        if table is None:
+            return None
+        untared = replace(self.settings, tare=0.0)
+        times, force = read_force(untared, table, [])
+        if self.settings.tare:
+            own = read_force(untared, self._table(self.settings.force), [])[1]
+            force = force - (own[0] - self._force.force[0])
+        stamps = times.ns if times.absolute else times.ns + self._start
+        first = self._force.stamp_ns[0]
+        kept = stamps < first
+        found = Force(stamps[kept], force[kept], -force[kept, 2])
+        whole = np.concatenate([found.stamp_ns, self._force.stamp_ns])
+        normal = np.concatenate([found.normal, self._force.normal])
+        number = len(found.stamp_ns)
+        over = any(a < number < b for a, b in TrialSettings().presses(whole, normal))
+        return None if over or not number else found
 
     def _series(self, spec: Series) -> tuple[np.ndarray, np.ndarray]:
         """Stamps (n,) in ns and values (n,) in SI of a stream beside the force, without gaps."""
@@ -190,10 +216,7 @@ class _Recording:
         stamps, areas = self._series(AREA)
         held = held_rows(stamps, areas, self._force.stamp_ns, self._force.normal)
         if held.any():
-            self.result.notes.append(
-                f"{self.settings.area}: {int(held.sum())} rows hold the area of the row before, "
-                "as loggers write it until the next frame; left out, the first of each counts"
-            )
+            self.result.notes.append(f"{self.settings.area}: {held_text(int(held.sum()))}")
         return stamps[~held], areas[~held]
 
     # Streams ---------------------------------------------------------------------------------
@@ -206,7 +229,7 @@ class _Recording:
         touching, empty = (area_stamps[mask] for mask in (areas > 0, areas <= 0))
         chosen = presses_in(found, settings.force, touching, empty)
         time = seconds(stamps - stamps[0])
-        normal = smooth_force(time, without_spikes(found.normal)[0])
+        normal = pressed_force(time, found.normal)
         rest = unloaded(found, np.empty(0), np.empty(0))
         items: list[_Item] = []
         for number, (first, end) in enumerate(chosen):
@@ -231,7 +254,7 @@ class _Recording:
         return items
 
     def wrenches(self) -> Iterator[_Item]:
-        """The force."""
+        """The force, with what is known of it before the recording."""
         # Messages, not their fields: there are far more of them than of all others.
         types = typestore().types
         message, wrench, vector, head, time = (
@@ -245,10 +268,10 @@ class _Recording:
             )
         )
         nothing = vector(0.0, 0.0, 0.0)
-        stamps, forces = self._force.stamp_ns.tolist(), self._force.force.tolist()
-        for stamp, (x, y, z) in zip(stamps, forces):
-            header = head(time(**time_fields(stamp)), "force_sensor")
-            yield stamp, "wrench", message(header, wrench(vector(x, y, z), nothing))
+        for part in filter(None, (self._earlier, self._force)):
+            for stamp, (x, y, z) in zip(part.stamp_ns.tolist(), part.force.tolist()):
+                header = head(time(**time_fields(stamp)), "force_sensor")
+                yield stamp, "wrench", message(header, wrench(vector(x, y, z), nothing))
 
     def indentations(self) -> list[_Item]:
         """Measured indentations, after `events`; raises InputError for values that are not those
