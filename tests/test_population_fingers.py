@@ -117,7 +117,7 @@ def test_intervals_hold_over_a_wide_range_of_forces(script: Any) -> None:
     """Area after a firm grip that was loosened, and peak pressure at every force."""
     found = script.wide_table(3, range(10))
     covers = "95 % interval covers (%)"
-    assert 85.0 <= found[f"camera: area, loosened: {covers}"]
+    assert 90.0 <= found[f"camera: area, loosened: {covers}"]
     for label in ("camera", "none"):
         for low, high in script.RANGES:
             assert 85.0 <= found[f"{label}: peak_pressure, {low:g} to {high:g} N: {covers}"]

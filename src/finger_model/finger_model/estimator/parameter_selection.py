@@ -177,13 +177,14 @@ def _answers(model: ReducedModel, parameters: np.ndarray) -> np.ndarray:
     space, n = model.space, len(parameters)
     shifts = _LOG_STEP * np.vstack([np.zeros(n), np.eye(n)])
     shifted = space.from_log(space.to_log(parameters) + shifts)
+    # All at once: for a finger of the population box most of their cost is shared.
+    constants = model.constants(*shifted)
     areas = []
-    for vector in shifted:
-        constants = model.constants(vector)
-        state = model.state_at_rest(constants)
-        areas.append(np.log(model.follow(constants, state, _TIME, _FORCE, before=0.0)[:, 0]))
-    base = model.constants(parameters)
-    near = Neighbourhood.at(model, base, np.zeros(members.DIRECTIONS))
+    for i in range(n + 1):
+        own = constants[i : i + 1]
+        found = model.follow(own, model.state_at_rest(own), _TIME, _FORCE, before=0.0)
+        areas.append(np.log(found[:, 0]))
+    near = Neighbourhood.at(model, constants[:1], np.zeros(members.DIRECTIONS))
     sensitivities = near.follow(0.0, _TIME, _FORCE).sensitivities
     h = np.column_stack([np.ones(len(_TIME)), np.log(_FORCE), sensitivities])
     changes = (np.array(areas[1:]) - areas[0]).T / _LOG_STEP
