@@ -20,7 +20,7 @@ The start is that of the command `finger-rig up`, from its call to the arrival o
 state; that of the estimator alone is a Python that makes one and gives it a sample.
 
 `python bench/bench_hand.py --fingers 5 --rate 500 --duration 60 [--separate] [--realtime]` runs one
-case; --separate gives each node a process of its own.
+case; --separate gives each node a process of its own, --own-lengths each finger a geometry file.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +52,7 @@ from finger_common.domains import free_domain
 from finger_common.priority import PRIORITY, run_in_real_time
 from finger_common.stamps import fill_time
 from finger_common.subject_code import FINGERS
+from finger_model.geometry import Geometry
 
 sys.path.insert(0, str(Path(__file__).parent))
 from bench_contact_state import photograph
@@ -201,9 +203,15 @@ class Case:
     """One run. `result` has what the processes found."""
 
     def __init__(
-        self, fingers: int, rate: float, separate: bool = False, realtime: bool = False
+        self,
+        fingers: int,
+        rate: float,
+        separate: bool = False,
+        realtime: bool = False,
+        own_lengths: bool = False,
     ) -> None:
         self.fingers = list(FINGERS[:fingers])
+        self.own_lengths = own_lengths
         self.rate = rate
         self.separate = separate
         self.realtime = realtime
@@ -257,7 +265,15 @@ class Case:
             self._start(__file__, "--role", "photograph", "--names", f"{here}/image_raw")
         time.sleep(8.0)  # the other processes have started
         own = folder / "hand.yaml"
-        own.write_text(yaml.safe_dump({"/**/force": {"ros__parameters": {"rate": self.rate}}}))
+        values: dict[str, Any] = {"/**/force": {"rate": self.rate}}
+        if self.own_lengths:
+            for number, finger in enumerate(self.fingers):
+                file = folder / f"{finger}.yaml"
+                pad = Geometry().pad_semi_axis_radial * (0.9 + 0.04 * number)
+                lengths = replace(Geometry(), pad_semi_axis_radial=pad)
+                file.write_text(yaml.safe_dump(lengths.to_dict()))
+                values[f"/**/{finger}/model"] = {"geometry_file": str(file)}
+        own.write_text(yaml.safe_dump({k: {"ros__parameters": v} for k, v in values.items()}))
         if start_only:
             return {"start": self._command_start(folder, own, devices, result)}
         entries = nodes.hand(self.fingers, parameters=devices)
@@ -365,6 +381,7 @@ def in_words(case: Case, found: dict[str, Any]) -> str:
     """One line of a run."""
     how = "each node a process" if case.separate else "one process"
     how += ", in real time" if case.realtime else ""
+    how += ", fingers of their own lengths" if case.own_lengths else ""
     return (
         f"{len(case.fingers)} × {case.rate:.0f} Hz, {how}: p50 {found['p50']:.2f} p99 "
         f"{found['p99']:.2f} p99.9 {found['p999']:.2f} max {found['max']:.1f} ms, lost "
@@ -420,6 +437,11 @@ def run(report: Any) -> None:
     report.add("five_fingers_p999", found["p999"], "ms", 6.0)
     report.add("five_fingers_lost", found["lost"], "count", 0)
     report.add("five_fingers_cpu", found["cpu"], "cores", 1.2)
+    own = Case(5, 500.0, realtime=True, own_lengths=True)
+    found = own.run(duration)
+    report.note(in_words(own, found))
+    report.add("five_own_fingers_p99", found["p99"], "ms", 2.0)
+    report.add("five_own_fingers_p999", found["p999"], "ms", 6.0)
     for name, rate, goal in (("one_khz", 1000.0, 1.0), ("one_finger", 500.0, 0.7)):
         case = Case(1, rate, realtime=True)
         found = case.run(duration)
@@ -444,6 +466,7 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=10.0)
     parser.add_argument("--separate", action="store_true")
     parser.add_argument("--realtime", action="store_true")
+    parser.add_argument("--own-lengths", action="store_true")
     args = parser.parse_args()
     names = args.names.split(",")
     if args.role == "listen":
@@ -457,7 +480,7 @@ def main() -> None:
     elif args.role == "photograph":
         photograph(args.names)
     else:
-        case = Case(args.fingers, args.rate, args.separate, args.realtime)
+        case = Case(args.fingers, args.rate, args.separate, args.realtime, args.own_lengths)
         found = case.run(args.duration)
         print(in_words(case, found), found["age"])
 

@@ -96,12 +96,15 @@ class AreaController:
             if received - self._bad_since > self.open_after:
                 self.force = 0.0
             return self._hold(f"contact state not valid (flags {flags})")
+        in_air = not in_contact or area == 0
+        if in_air:
+            self.force = min(self.force, self.approach_force)
         self._good_since = min(self._good_since, stamp)
         if stamp - self._good_since < self.settle:
             return self.force
         self.reason = ""
         limit = self.largest_force
-        if not in_contact or area == 0:
+        if in_air:
             rate, limit = self.approach_rate, min(limit, self.approach_force)
         elif slope <= 0:
             rate = 0.0

@@ -124,6 +124,18 @@ def test_it_holds_on_stale_states_and_waits_before_it_goes_on(example: Any) -> N
     assert further > force
 
 
+def test_a_large_force_does_not_wait_for_the_touch_after_a_hole_in_the_states(
+    example: Any,
+) -> None:
+    controller = example.AreaController(TARGET)
+    force, at = run(controller, 2.0, 0.0)
+    assert force > controller.approach_force
+    held, at = run(controller, 3.0, at, None)
+    assert held == force
+    found = controller.on_state(at, at, 0.0, 0.0, False, 0)
+    assert found == controller.approach_force
+
+
 @pytest.mark.parametrize(
     ("bad", "opens"),
     [

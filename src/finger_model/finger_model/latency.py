@@ -32,3 +32,9 @@ class LatencyHistogram:
             return float("nan")
         at = int(np.searchsorted(np.cumsum(counts), total * percent / 100.0))
         return (at + 1) * self.STEP * 1e-6
+
+    def text(self, percent: float) -> str:
+        """The same in words; a delay of more than the last step is "> 100"."""
+        value = self.percentile(percent)
+        most = self.SIZE * self.STEP * 1e-6
+        return f"> {most:g}" if value > most else f"{value:.3f}"

@@ -793,10 +793,13 @@ class ModelNode(ManagedNode):
             self.health.notes["parameters"] = json.dumps(
                 [float(f"{v:.6g}") for v in run.estimator.parameters]
             )
+            simulated = self.get_parameter("use_sim_time").value
             for name, delays in (("latency", run.latency), ("age", run.age)):
                 for percent in (50, 99):
-                    value = delays.percentile(percent)
-                    self.health.notes[f"{name}_p{percent}_ms"] = f"{value:.3f}"
+                    # Stamps of a simulated time have no age by the host's clock.
+                    known = name == "latency" or not simulated
+                    text = delays.text(percent) if known else "unknown"
+                    self.health.notes[f"{name}_p{percent}_ms"] = text
             # A force node of this process may have come or gone.
             self._follow_wrench()
         super().publish_diagnostics()

@@ -242,6 +242,42 @@ def test_duplicates_and_samples_out_of_order_are_dropped(estimator: ContactEstim
     assert estimator.counters == {"duplicates": 1, "out_of_order": 1}
 
 
+@pytest.mark.parametrize("every", [20, 2])
+def test_an_area_that_a_recorder_held_counts_once(model: ReducedModel, every: int) -> None:
+    stamps, forces = press()
+    areas = 40e-6 * np.sqrt(np.linspace(0.1, 1.0, 19))
+    once, held = ContactEstimator(model), ContactEstimator(model)
+    for ms in range(100, 2000, every):
+        held.add_area(T0 + ms * MS, areas[ms // 100 - 1], 1.5e-6)
+    for ms in range(100, 2000, 100):
+        once.add_area(T0 + ms * MS, areas[ms // 100 - 1], 1.5e-6)
+    found = rows(held.add_wrenches(stamps, forces))
+    assert found == rows(once.add_wrenches(stamps, forces))
+    assert held.counters["duplicate_areas"] > 70
+    assert not once.counters["duplicate_areas"]
+
+
+def test_equal_areas_of_a_fast_camera_count_now_and_then(model: ReducedModel) -> None:
+    stamps, forces = press()
+    estimator, few = ContactEstimator(model), ContactEstimator(model)
+    for ms in range(100, 1000, 10):
+        estimator.add_area(T0 + ms * MS, 40e-6, 1.5e-6)
+    for ms in range(100, 1000, 250):
+        few.add_area(T0 + ms * MS, 40e-6, 1.5e-6)
+    found = rows(estimator.add_wrenches(stamps, forces))
+    assert found == rows(few.add_wrenches(stamps, forces))
+    assert estimator.counters["duplicate_areas"] == 86
+
+
+def test_equal_areas_of_pictures_that_are_apart_all_count(model: ReducedModel) -> None:
+    stamps, forces = press()
+    estimator = ContactEstimator(model)
+    for ms in range(100, 1000, 60):
+        estimator.add_area(T0 + ms * MS, 40e-6, 1.5e-6)
+    estimator.add_wrenches(stamps, forces)
+    assert "duplicate_areas" not in estimator.counters
+
+
 def test_a_step_far_back_in_time_resets(estimator: ContactEstimator, model: ReducedModel) -> None:
     estimator.add_moisture(T0 + 2000 * MS, 105.0)
     for ms in range(0, 3000, 2):

@@ -519,9 +519,10 @@ def test_services_and_parameters_answer_and_refuse_with_a_reason(
     def latency_reported() -> bool:
         # Of the samples since the report before: some must come in every second.
         bench.press(next(stamps), -0.7)
-        return float(found.get("contact state", {}).get("latency_p99_ms", "nan")) > 0
+        return found.get("contact state", {}).get("latency_p99_ms", "nan") != "nan"
 
     bench.until(latency_reported)
+    assert found["contact state"]["age_p99_ms"] == "> 100", "the stamps are years old"
     bench.until(lambda: "no sample" in found.get("contact state", {}).get("message", ""))
     assert "moisture" in found["inputs"]["message"]
 
@@ -836,6 +837,7 @@ def test_a_clock_that_jumps_back_resets_the_state(
     assert first.model_area == bench.states[0].model_area
     assert bench.states[299].model_area > first.model_area
     bench.until(lambda: any("jumped" in e.reason for e in bench.events))
+    bench.until(lambda: bench.diagnostics.get("contact state", {}).get("age_p99_ms") == "unknown")
     # The recorded event makes a replay do the same.
     again = ContactEstimator(load_reduced())
     stamps = [*range(300), *range(50, 60)]

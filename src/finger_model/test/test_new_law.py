@@ -6,6 +6,8 @@
 from __future__ import annotations
 
 import re
+import shlex
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -84,11 +86,13 @@ def block(language: str) -> str:
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory, install_package):
     """The example as an installed package; gives its law class."""
+    tomllib = pytest.importorskip("tomllib", reason="reading pyproject.toml needs Python 3.11")
     site = tmp_path_factory.mktemp("site")
-    group, entry = block("toml").split("\n", 1)
-    assert group == '[project.entry-points."finger_model.law"]'
-    entries = dict(re.findall(r'^(\w+) = "(.*)"$', entry, re.M))
-    install_package(site, {"yeoh_law": block("python")}, {"finger_model.law": entries})
+    metadata = tomllib.loads(block("toml"))
+    project, (module,) = metadata["project"], metadata["tool"]["setuptools"]["py-modules"]
+    # pip installs nothing without them.
+    assert project["name"] and project["version"] and "finger_model" in project["dependencies"]
+    install_package(site, {module: block("python")}, project["entry-points"])
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(site))
         yield law_of("yeoh")
@@ -129,6 +133,16 @@ def test_simulate_runs_with_the_law_of_the_material_file(installed, tmp_path, ca
     assert np.all(np.diff(found["area_mm2"]) > 0) and 30 < found["area_mm2"][-1] < 80
     assert run(_main, [*arguments[:-2], "--solver", "reduced"]) == 2
     assert "law 'yeoh' has no reduced model; use --solver full" in capsys.readouterr().err
+
+
+def test_the_commands_of_the_page_run_as_they_stand(installed, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("material.yaml").write_text(block("yaml"))
+    printed, simulated = re.findall(r"^    ((?:printf|finger-model) .*)$", PAGE.read_text(), re.M)
+    subprocess.run(["sh", "-c", printed], check=True)
+    assert run(_main, [*shlex.split(simulated)[1:], "--refinement", "0.5"]) == 0
+    found = np.genfromtxt("contact.csv", delimiter=",", names=True)
+    assert found["area_mm2"][-1] == found["area_mm2"].max() > 30
 
 
 def test_without_stiffening_it_is_the_neo_hookean_finger(installed, model):

@@ -76,11 +76,11 @@ class ContactEstimator:
 
     model: the reduced model; parameter_sets: None for the shipped ones; settings: None for the
     defaults. `counters` counts duplicates, out_of_order, resets, late_areas, late_moistures,
-    flagged_areas; `fingers` counts starts and resets, after which the finger is one that was not
-    seen before, and `surfaces` changes of the surface alone. `parameter_sets` have the lengths of
-    the model's finger, unless it is the default one. `models` has those that a recorded start may
-    change to, by their hash. Raises InputError for parameter sets of another geometry or law than
-    the model's.
+    flagged_areas, duplicate_areas; `fingers` counts starts and resets, after which the finger is
+    one that was not seen before, and `surfaces` changes of the surface alone. `parameter_sets` have
+    the lengths of the model's finger, unless it is the default one. `models` has those that a
+    recorded start may change to, by their hash. Raises InputError for parameter sets of another
+    geometry or law than the model's.
     """
 
     def __init__(
@@ -193,9 +193,10 @@ class ContactEstimator:
         """Add a measured gross area and its standard deviation (m²); flags as in ContactArea.
 
         False when it comes too late to be used (the next estimate is flagged). A second one of a
-        stamp is left out. live: one that is ahead of the samples by more than `FUTURE` has a wrong
-        stamp, and counts as late; from a file inputs may come ahead of the samples. Raises
-        InputError for a stamp with a point.
+        stamp is left out, and one that a recorder wrote again (see `inputs.HELD_STEP`). live: one
+        that is ahead of the samples by more than `FUTURE` has a wrong stamp, and counts as late;
+        from a file inputs may come ahead of the samples. Raises InputError for a stamp with a
+        point.
         """
         stamp_ns = whole_stamp(stamp_ns)
         if self._inputs.knows_late("area", stamp_ns):
@@ -226,7 +227,7 @@ class ContactEstimator:
 
     def prepare_moisture(self, value: float) -> None:
         """Compute what a reading (a.u.) that waits will change, so that its sample need not: for a
-        finger of its own lengths that takes a tenth of a second. Results stay the same.
+        finger of its own lengths that takes many milliseconds. Results stay the same.
 
         May be called in another thread while samples come.
         """
@@ -408,10 +409,8 @@ class ContactEstimator:
 
     def _process(self, stamps: np.ndarray, forces: np.ndarray, rows: np.ndarray) -> None:
         """Run accepted samples of increasing stamps, and the areas that come due."""
-        areas = self._inputs.due_areas(int(stamps[-1]))
-        used = self._state.process(stamps, forces, areas, rows)
-        if used:
-            self._inputs.remove_areas(used)
+        areas = self._inputs.take_due_areas(int(stamps[-1]))
+        self._state.process(stamps, forces, areas, rows)
 
     def _next_due(self) -> int | None:
         """Stamp of a wrench sample before which an event or reading takes effect."""

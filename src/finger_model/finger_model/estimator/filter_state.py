@@ -179,9 +179,9 @@ class FilterState:
 
     def process(
         self, stamps: np.ndarray, forces: np.ndarray, areas: np.ndarray, rows: np.ndarray
-    ) -> int:
-        """Process samples as `stream.process` does; returns the number of areas used up."""
-        return stream.process(
+    ) -> None:
+        """Process samples as `stream.process` does."""
+        stream.process(
             *self._model_records(),
             self.configuration,
             self.state,

@@ -20,6 +20,10 @@ from finger_common.stamps import NANOSECONDS
 from . import stream
 from .events import EstimatorEvent
 
+HELD_STEP, LONGEST_HOLD = 50_000_000, 250_000_000
+"""ns. Equal areas in steps of up to HELD_STEP are one picture, which a recorder wrote again and
+again; after LONGEST_HOLD it counts once more, for the contact before a fast camera may rest."""
+
 _stamp = itemgetter(0)
 _NO_AREAS = np.zeros(0, stream.AREA)
 
@@ -40,6 +44,8 @@ class InputQueue:
         self._areas: list[tuple[int, float, float, int]] = []
         self._moistures: list[tuple[int, float]] = []
         self._area_stamps: deque[int] = deque(maxlen=64)
+        self._last_area: tuple[int, float, float, int] | None = None
+        self._last_seen = 0
         self._known_late: set[tuple[str, int]] = set()
         self._pauses: list[tuple[int, ...]] = []
 
@@ -77,6 +83,7 @@ class InputQueue:
     def take_areas(self, other: InputQueue) -> None:
         """Let the areas that wait in another queue wait here."""
         self._areas, self._area_stamps = other._areas.copy(), other._area_stamps.copy()
+        self._last_area, self._last_seen = other._last_area, other._last_seen
 
     def forget_areas_before(self, stamp_ns: int) -> None:
         """Remove areas of earlier stamps, which no wrench sample will need."""
@@ -90,30 +97,34 @@ class InputQueue:
         bisect.insort(self._moistures, (int(stamp_ns), float(value)))
         return True
 
-    def due_areas(self, stamp_ns: int) -> np.ndarray:
-        """Areas (k,) due at a wrench sample of this stamp; they stay until `remove_areas`.
-
-        Rejected ones are NO_CONTACT where the picture shows none, and NaN otherwise.
-        """
-        due = bisect.bisect_right(self._areas, stamp_ns - self.delay, key=_stamp)
-        if due and not self.fuse:
-            del self._areas[:due]
-            due = 0
-        if not due:
+    def take_due_areas(self, stamp_ns: int) -> np.ndarray:
+        """Remove and return the areas (k,) due at a wrench sample of this stamp, but for repeated
+        ones. Rejected ones are NO_CONTACT where the picture shows none, and NaN otherwise."""
+        number = bisect.bisect_right(self._areas, stamp_ns - self.delay, key=_stamp)
+        if not number:
             return _NO_AREAS
-        found = np.array([area[:3] for area in self._areas[:due]], stream.AREA)
-        for row, (*_, flags) in enumerate(self._areas[:due]):
+        due = [area for area in self._areas[:number] if not self._is_repeated(area)]
+        del self._areas[:number]
+        if not self.fuse:
+            return _NO_AREAS
+        found = np.array([area[:3] for area in due], stream.AREA)
+        for row, (*_, flags) in enumerate(due):
             if flags & self.rejected_flags:
+                self.counters["flagged_areas"] += 1
                 empty = flags & AreaFlag.NO_CONTACT
                 found["area"][row] = stream.NO_CONTACT if empty else math.nan
         return found
 
-    def remove_areas(self, number: int) -> None:
-        """Remove the first areas, which were used."""
-        rejected = sum(bool(area[3] & self.rejected_flags) for area in self._areas[:number])
-        if rejected:
-            self.counters["flagged_areas"] += rejected
-        del self._areas[:number]
+    def _is_repeated(self, area: tuple[int, float, float, int]) -> bool:
+        """Whether this is the last area once more; counts it. Called in the order of stamps."""
+        stamp, seen, last = area[0], self._last_seen, self._last_area
+        self._last_seen = stamp
+        equal = last is not None and area[1:] == last[1:] and stamp - last[0] < LONGEST_HOLD
+        if equal and stamp - seen <= HELD_STEP:
+            self.counters["duplicate_areas"] += 1
+            return True
+        self._last_area = area
+        return False
 
     def due_moisture(self, stamp_ns: int) -> tuple[int, float] | None:
         """Remove and return the next reading that is due at this stamp, None without one."""
@@ -132,6 +143,7 @@ class InputQueue:
             return abs(item[0] - stamp_ns) < NANOSECONDS
 
         self._area_stamps.clear()
+        self._last_area = None
         self._pauses.clear()
         self._areas = [area for area in self._areas if near(area)]
         self._moistures = [reading for reading in self._moistures if near(reading)]

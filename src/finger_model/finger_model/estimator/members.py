@@ -127,7 +127,7 @@ def advance(net, par, finger, work, members, stamp, force, every):
             break
         j = oldest
         one = slice(1 + j, 2 + j)
-        rk.step(net, par[one], finger[one], work, behind * 1e-9, force)
+        rk.step_without_slope(net, par[one], finger[one], work, behind * 1e-9, force)
         members.stamp[j] = stamp
         differ(finger, members, j)
 
@@ -149,7 +149,7 @@ def rest(net, par, finger, work):
         rk.rest(net, par[j : j + 1], finger[j : j + 1], work)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def follow(net, par, finger, work, members, before, time, force, table):
     """Area (m²), indentation (m), peak pressure (Pa) and both sensitivities (n, 9) along a future.
 
@@ -159,7 +159,8 @@ def follow(net, par, finger, work, members, before, time, force, table):
     first = len(time)
     for i in range(len(time)):
         for j in range(1 + DIRECTIONS):
-            rk.step(net, par[j : j + 1], finger[j : j + 1], work, time[i] - before, force[i])
+            one = slice(j, j + 1)
+            rk.step_without_slope(net, par[one], finger[one], work, time[i] - before, force[i])
         if finger[0].failed:
             first = min(first, i)
         before = time[i]

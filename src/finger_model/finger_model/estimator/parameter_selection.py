@@ -26,7 +26,8 @@ _TIME = np.concatenate([np.linspace(0.0, 1.0, 21), np.linspace(1.1, 3.0, 20), [3
 _FORCE = np.interp(_TIME, [0.0, 1.0, 3.0, 3.2], [0.05, 1.0, 1.0, 0.1])
 """s and N: the press in which parameters are compared with the states of the filters."""
 
-_LOG_STEP = 0.05
+_LOG_STEP, _LEAST_CHANGE = 0.01, 1e-6
+"""Change of the logarithms of parameters in that press, and the least that is told from none."""
 _RIDGE = np.array([1e-4, 1e-3, 1e-3, 1e-3, 1e-3])
 """Inverse variances that settle what the press leaves open."""
 
@@ -88,13 +89,15 @@ def select_parameters(
         flags |= StateFlag.PARAMETERS_OUT_OF_RANGE
     material = model.material.with_vector(found.parameters)
     assert isinstance(material, MaxwellLaw)
+    directions = _directions(sets, settings, moisture, found)
+    constants, answers = _answers(model, found.parameters, directions)
     return SelectedParameters(
         found.parameters,
-        model.constants(found.parameters),
+        constants,
         material,
         found.name,
         flags,
-        _prior(model, sets, settings, moisture, found),
+        _prior(sets, settings, moisture, answers),
     )
 
 
@@ -113,14 +116,34 @@ def check_sets(sets: ParameterSets, model: ReducedModel, where: str = "the param
         )
 
 
-def _prior(
-    model: ReducedModel,
+def _directions(
     sets: ParameterSets,
     settings: EstimatorSettings,
     moisture: float | None,
     found: InterpolatedParameters,
+) -> np.ndarray:
+    """Changes of the logarithms of the n parameters (d, n) that the prior asks for: what one
+    standard deviation of the population in moisture does, or square roots of the covariance."""
+    known = sets.prior
+    if known is not None and known.moisture_sd > 0 and len(sets.sets) > 1:
+        here = settings.default_moisture if moisture is None else moisture
+        ends = [
+            sets.interpolate(float(np.clip(here + d * known.moisture_sd, *MOISTURE_RANGE)))
+            for d in (-1.0, 1.0)
+        ]
+        return np.diff([sets.space.to_log(end.parameters) for end in ends], axis=0) / 2
+    if known is None and np.any(found.covariance_log):
+        variances, axes = np.linalg.eigh(found.covariance_log)
+        return (np.sqrt(np.maximum(variances, 0.0)) * axes).T
+    return np.zeros((0, len(found.parameters)))
+
+
+def _prior(
+    sets: ParameterSets, settings: EstimatorSettings, moisture: float | None, answers: np.ndarray
 ) -> SelectedPrior:
-    """What is known of the finger: by the sets' own prior, or by covariances and settings."""
+    """What is known of the finger: by the sets' own prior, or by covariances and settings.
+
+    answers (5, d): of the finger states to `_directions`."""
     none = np.zeros(area_filter.FINGER_STATES)
     known, presses = sets.prior, sets.presses
     area_sd, contact = settings.prior_area_sd, _contact(sets, settings)
@@ -128,19 +151,11 @@ def _prior(
         if presses is not None:
             area_sd = presses.sd * math.sqrt(presses.margin / presses.number)
         covariance = np.diag([area_sd**2, settings.slope_sd**2, 0.0, 0.0, 0.0])
-        if np.any(found.covariance_log):
-            answers = _answers(model, found.parameters)
-            covariance = covariance + answers @ found.covariance_log @ answers.T
+        covariance = covariance + answers @ answers.T
         return SelectedPrior(none, covariance, none, 0.0, 0.0, 0.0, *contact)
     direction, variance, wander = none, 0.0, 0.0
-    if known.moisture_sd > 0 and len(sets.sets) > 1:
-        here = settings.default_moisture if moisture is None else moisture
-        ends = [
-            sets.interpolate(float(np.clip(here + d * known.moisture_sd, *MOISTURE_RANGE)))
-            for d in (-1.0, 1.0)
-        ]
-        change = np.diff([sets.space.to_log(end.parameters) for end in ends], axis=0)[0] / 2
-        direction = _answers(model, found.parameters) @ change
+    if answers.size:
+        direction = answers[:, 0]
         variance = 1.0 if moisture is None else (known.reading_sd / known.moisture_sd) ** 2
         # At the age from which it is stale, a reading has lost half of what it told.
         wander = 0.5 / settings.moisture_stale_after
@@ -171,23 +186,28 @@ def _contact(sets: ParameterSets, settings: EstimatorSettings) -> tuple[float, f
     return area_sd / contact, presses.slope_sd / contact, presses.drift_sd / drift
 
 
-def _answers(model: ReducedModel, parameters: np.ndarray) -> np.ndarray:
-    """How the finger states (5, n) answer to the logarithms of the n parameters, in one press, as
-    far as the model follows it."""
-    space, n = model.space, len(parameters)
-    shifts = _LOG_STEP * np.vstack([np.zeros(n), np.eye(n)])
-    shifted = space.from_log(space.to_log(parameters) + shifts)
-    # All at once: for a finger of the population box most of their cost is shared.
-    constants = model.constants(*shifted)
+def _answers(
+    model: ReducedModel, parameters: np.ndarray, directions: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The model's record of the parameters (n,), and how the finger states (5, d) answer to changes
+    (d, n) of their logarithms, in one press, as far as the model follows it."""
+    space = model.space
+    steps = _LOG_STEP / np.maximum(np.abs(directions).max(axis=1), _LEAST_CHANGE)
+    shifted = space.from_log(space.to_log(parameters) + steps[:, None] * directions)
+    # All at once: for a finger of the population box some of their cost is shared.
+    constants = model.constants(parameters, *shifted)
+    base = constants[:1]
+    if not len(directions):
+        return base, np.zeros((area_filter.FINGER_STATES, 0))
     areas = []
-    for i in range(n + 1):
+    for i in range(len(constants)):
         own = constants[i : i + 1]
         found = model.follow(own, model.state_at_rest(own), _TIME, _FORCE, before=0.0)
         areas.append(np.log(found[:, 0]))
-    near = Neighbourhood.at(model, constants[:1], np.zeros(members.DIRECTIONS))
+    near = Neighbourhood.at(model, base, np.zeros(members.DIRECTIONS))
     sensitivities = near.follow(0.0, _TIME, _FORCE).sensitivities
     h = np.column_stack([np.ones(len(_TIME)), np.log(_FORCE), sensitivities])
-    changes = (np.array(areas[1:]) - areas[0]).T / _LOG_STEP
+    changes = (np.array(areas[1:]) - areas[0]).T / steps
     followed = np.isfinite(changes).all(axis=1)
     h, changes = h[followed], changes[followed]
-    return np.linalg.solve(h.T @ h + np.diag(_RIDGE), h.T @ changes)
+    return base, np.linalg.solve(h.T @ h + np.diag(_RIDGE), h.T @ changes)

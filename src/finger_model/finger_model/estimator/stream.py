@@ -527,8 +527,8 @@ def process(net, base, par, finger, work, configuration, states, stamps, forces,
 
     net, base (1,), par (4,), finger (4,), work: records of the reduced model, par and finger those
     of `members`; configuration (1,), states (1,): CONFIGURATION, STATE; stamps (n,), forces (n, 3):
-    ns, N; areas (k,): AREA in the order of their stamps. Fills rows (n,) of
-    ESTIMATE_DTYPE but for `parameter_set`; returns the number of areas used up.
+    ns, N; areas (k,): AREA in the order of their stamps, all due by the last sample. Fills rows
+    (n,) of ESTIMATE_DTYPE but for `parameter_set`.
     """
     config, state = configuration[0], states[0]
     stream = state.stream
@@ -585,7 +585,6 @@ def process(net, base, par, finger, work, configuration, states, stamps, forces,
         flags |= _write_measurement(config, state.contact, stamp, row)
         flags |= _write_moisture(config, stamp, row)
         row.flags = flags
-    return used
 
 
 @njit(cache=True)

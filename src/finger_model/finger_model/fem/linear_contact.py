@@ -38,11 +38,14 @@ class LinearContact:
         self._coarse = _Linear(similar_mesh(geometry))
         self._default = _Linear(finger_mesh(geometry))
 
-    def curve(self, material: MaxwellLaw, share: float) -> np.ndarray:
-        """Rows (n, 3) of rising load: ln x, ln(A/L²), ln(δ/L), x = (F/(E L²))^(1/3).
+    def at(self, material: MaxwellLaw, share: float) -> tuple[np.ndarray, np.ndarray]:
+        """Curve and meshes where the bulk tissue has the shear modulus G0 and the modulus E = E0,
+        each times `share`, and its full bulk modulus.
 
-        The bulk tissue has the shear modulus G0 and the modulus E = E0, each times `share`, and its
-        full bulk modulus.
+        Curve: rows (n, 3) of rising load, ln x, ln(A/L²), ln(δ/L), x = (F/(E L²))^(1/3). Meshes
+        (3,), what tells the default mesh from `similar_mesh`: logarithm of the ratio of their
+        compliances to the pressure of Hertz over PRESSED; node spacing on the axis over L, along
+        the skin and through it.
         """
         mesh = self._coarse
         flexibility = mesh.displacements(material, share, np.eye(len(mesh.radius)))
@@ -52,18 +55,12 @@ class LinearContact:
         x = np.log(rows[:, 0] / scale) / 3.0
         area = np.log(math.pi * (mesh.radius[rows[:, 2].astype(int)] / self.length) ** 2)
         rising = np.concatenate([[True], x[1:] > np.maximum.accumulate(x)[:-1]])
-        return np.column_stack([x, area, np.log(rows[:, 1] / self.length)])[rising]
-
-    def meshes(self, material: MaxwellLaw, share: float) -> np.ndarray:
-        """What tells the default mesh from `similar_mesh` (3,): logarithm of the ratio of their
-        compliances to the pressure of Hertz over PRESSED; node spacing on the axis over L, along
-        the skin and through it."""
-        compliances = []
-        for mesh in (self._default, self._coarse):
-            load = mesh.hertzian_load(PRESSED * self.length)
-            compliances.append(load @ mesh.displacements(material, share, load[:, None])[:, 0])
-        ratio = math.log(compliances[0] / compliances[1])
-        return np.array([ratio, *(self._default.spacing / self.length)])
+        curve = np.column_stack([x, area, np.log(rows[:, 1] / self.length)])[rising]
+        load = self._default.hertzian_load(PRESSED * self.length)
+        compliance = load @ self._default.displacements(material, share, load[:, None])[:, 0]
+        load = mesh.hertzian_load(PRESSED * self.length)
+        ratio = math.log(compliance / (load @ flexibility @ load))
+        return curve, np.array([ratio, *(self._default.spacing / self.length)])
 
 
 class _Linear:
@@ -123,7 +120,7 @@ class _Linear:
         return found / found.sum()
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _rows(flexibility, gap):
     """Force (N), indentation (m) and last node (n, 3) of contacts that grow; 0 where none is."""
     number = len(gap)

@@ -65,7 +65,7 @@ class LinearGuess(NamedTuple):
     """What linear theory says of sudden and slow presses, of one finger or (second axis) of n.
 
     curves (2, nodes, 2): ln(A/(L² x²)) and ln(δ/(L x²)) on the coarse mesh; meshes (2, 3):
-    `LinearContact.meshes`.
+    as of `LinearContact.at`.
     """
 
     curves: np.ndarray
@@ -82,8 +82,10 @@ def linear_guess(contact: LinearContact, material: MaxwellLaw) -> LinearGuess:
     nodes = np.log(NODES)
     found = np.empty((2, len(nodes), 2))
     shares = (1.0, material.long_term_fraction)
+    meshes = []
     for which, share in enumerate(shares):
-        curve = contact.curve(material, share)
+        curve, own = contact.at(material, share)
+        meshes.append(own)
         x = curve[:, 0]
         for column in range(2):
             y = curve[:, 1 + column]
@@ -92,7 +94,7 @@ def linear_guess(contact: LinearContact, material: MaxwellLaw) -> LinearGuess:
             values[low] = y[0] + 2.0 * (nodes[low] - x[0])
             values[high] = y[-1] + (nodes[high] - x[-1])
             found[which, :, column] = values - 2.0 * nodes
-    return LinearGuess(found, np.array([contact.meshes(material, share) for share in shares]))
+    return LinearGuess(found, np.array(meshes))
 
 
 def network_context(context: np.ndarray, share: float, curves: np.ndarray) -> np.ndarray:
@@ -190,8 +192,8 @@ def _rows_of_outputs(z, points, weights, out):
                 out[row, column] += share * weights[point, column]
 
 
-_add_outputs = njit(cache=True)(_rows_of_outputs)
-_add_outputs_side_by_side = njit(cache=True, parallel=True)(_rows_of_outputs)
+_add_outputs = njit(cache=True, nogil=True)(_rows_of_outputs)
+_add_outputs_side_by_side = njit(cache=True, nogil=True, parallel=True)(_rows_of_outputs)
 
 
 def _kernel(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -74,7 +74,7 @@ class ErrorTable:
         return float(np.mean(within & (self._column("indentation") <= worst)))
 
     def none_beyond(self) -> bool:
-        """Whether no pair is beyond 1.5 % RMS or 4 % worst."""
+        """Whether no pair is beyond LIMIT_RMS or LIMIT_WORST."""
         return bool(
             np.all((self._column("rms") <= LIMIT_RMS) & (self._column("worst") <= LIMIT_WORST))
         )
@@ -127,7 +127,8 @@ class ErrorTable:
         lines.append(
             f"within {100 * rms:g} % RMS and {100 * worst:g} % worst: "
             f"{100 * self.share_within(rms, worst):.1f} % of the pairs; "
-            f"none beyond 1.5 % / 4 %: {'yes' if self.none_beyond() else 'no'}"
+            f"none beyond {100 * LIMIT_RMS:g} % / {100 * LIMIT_WORST:g} %: "
+            + ("yes" if self.none_beyond() else "no")
         )
         return "\n".join(lines)
 

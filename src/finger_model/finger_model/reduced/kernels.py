@@ -85,6 +85,9 @@ _LEAST_STRAIN = 1e-6
 _SUBSTEP = 0.15
 _MOST_SUBSTEPS = 4
 _MOST_ITERATIONS = 6
+_NEAR, _QUICK = 1e-3, 0.1
+"""The Jacobian is kept after a change of less than _NEAR which is also less than _QUICK times the
+one before."""
 _CONVERGED = 1e-7
 """Of the amplitudes in Newton's method; they are of the order of 0.1."""
 _ACCEPTED, _LEAST_SIZE = 1e-4, 0.1
@@ -192,6 +195,7 @@ def record_types(latents: int, frictions: int, drive_width: int, contact_width: 
                 ("residual", "f8", (k,)),
                 ("drive", "f8", (1 + k,)),
                 ("jacobian", "f8", (k, k)),
+                ("matrix", "f8", (k, k)),  # the same, overwritten by the solver
                 ("sensitivity", "f8", (1 + k, drive_width)),  # to ln(S + …) and each a/S
                 ("slope", "f8", (1 + k,)),
                 ("drive_1", "f8", (drive_width,)),
@@ -512,22 +516,26 @@ def _strain(net, par, state, work, x):
         for b in range(par.branches):
             base[i] += weights[0, b] * state.branches[b, i]
         trial[i] = a[i]
-    largest = 0.0
+    largest, kept = math.inf, False
     for _ in range(_MOST_ITERATIONS):
         _drive(net, par, work, x, trial, work.drive)
-        _drive_jacobian(net, par, work, x, trial)
         for i in range(k):
             residual[i] = base[i] + new * (work.drive[1 + i] + trial[i]) - trial[i]
-            for j in range(k):
-                work.jacobian[i, j] *= -new
-            work.jacobian[i, i] += 1.0 - new
-        _solve(work.jacobian, residual)
-        largest = 0.0
+        if not kept:
+            _drive_jacobian(net, par, work, x, trial)
+            for i in range(k):
+                for j in range(k):
+                    work.jacobian[i, j] *= -new
+                work.jacobian[i, i] += 1.0 - new
+        work.matrix[:, :] = work.jacobian
+        _solve(work.matrix, residual)
+        before, largest = largest, 0.0
         for i in range(k):
             trial[i] += residual[i]
             largest = max(largest, abs(residual[i]))
         if largest < _CONVERGED:
             break
+        kept = largest < _NEAR and largest < _QUICK * before
     accepted = _ACCEPTED * max(strain_scale(x, trial), _LEAST_SIZE)
     if not ((largest <= accepted or x < _LIGHT) and work.drive[0] <= par.deepest):
         return False
@@ -720,6 +728,13 @@ def step(net, par, state, work, dt, force):
 
 
 @njit(cache=True)
+def step_without_slope(net, par, state, work, dt, force):
+    """As `step`, but the slope stays what it was."""
+    _advance(net[0], par[0], state[0], work[0], dt, force)
+    _pressure_and_area(net[0], par[0], state[0], work[0])
+
+
+@njit(cache=True, nogil=True)
 def follow(net, par, state, work, before, time, force, table):
     """Area, indentation and peak pressure (n, 3) along time and force (n,).
 

@@ -411,8 +411,9 @@ class ReducedModel:
         model.
         """
         table = np.empty((len(time), 3))
+        work = self.work.copy()  # other threads may run beside
         try:
-            row = rk.follow(self.networks, constants, state, self.work, before, time, force, table)
+            row = rk.follow(self.networks, constants, state, work, before, time, force, table)
         except ZeroDivisionError:
             raise InputError(
                 "reduced model: the file is damaged, its numbers give no contact; build it again "

@@ -49,7 +49,7 @@ def _table(geometry: Geometry, nail_ratio: float) -> np.ndarray:
     for ratio in SKIN_RATIOS:
         modulus = skin / ratio
         material = Material(E0=modulus, E1=modulus, nail_modulus=nail)
-        _, area, depth = contact.curve(material, 1.0).T
+        _, area, depth = contact.at(material, 1.0)[0].T
         radius = contact.length * np.sqrt(np.exp(area) / np.pi)
         stiffness = np.interp(radius, *shear.curve(material).T) / (modulus * contact.length)
         found.append(np.interp(np.log(DEPTHS), depth, np.log(stiffness)))
