@@ -21,7 +21,7 @@ OVERFLOW = """() => {
     }
     if (e.tagName === "BUTTON" && e.scrollWidth > e.clientWidth + 1) found.push(`${e.id} cut`);
   }
-  for (const e of document.querySelectorAll(".legend, #left")) {
+  for (const e of document.querySelectorAll(".legend, #left, .scroll")) {
     if (e.scrollWidth > e.clientWidth + 1) found.push(`${e.parentElement.textContent} cut`);
   }
   for (const e of document.querySelectorAll("#controls, #moisture, #cue")) {

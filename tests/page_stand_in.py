@@ -13,12 +13,12 @@ from typing import Any
 import cv2
 import numpy as np
 
+from finger_operator.page.commands import COMMANDS
 from finger_operator.page.feed import CurveMemory
 from finger_operator.page.server import PageServer
 from finger_operator.page.settings import PageSettings
 from finger_operator.readiness import Problem
 from finger_operator.study_plan import CLEAN_PLATE, PREPARATIONS, PlanSettings
-from finger_operator.trial_order import order_text
 
 TARE_NEEDED = Problem("tare", "Tare needed.", "Take the finger off the plate, then press Tare (T).")
 
@@ -192,8 +192,8 @@ class StandIn:
                 curves = self.curves.snapshot()
             self.server.publish("curves", curves)
             return True, ""
-        if name == "order":
-            return True, order_text(arguments)
+        if name in ("order", "new_conditions"):
+            return True, COMMANDS[name].answer(arguments, CLOSED)
         self.commands.append((name, arguments))
         return self.answers.get(name, (True, f"did {name}"))
 

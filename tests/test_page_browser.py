@@ -6,6 +6,7 @@ Pictures of the page at five sizes go to out/page (PAGE_SHOTS names another fold
 from __future__ import annotations
 
 import re
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -68,10 +69,11 @@ def prepare(rig: StandIn, page: Any, **fields: Any) -> None:
     until(lambda: "Trial 3 of 6" in page.inner_text("#cue-trial"), page)
 
 
-def linked(page: Any) -> None:
-    """Wait until the page has its link, from which a search of it may have kept it: without one
-    keys do nothing."""
-    page.wait_for_selector("#banner", state="hidden")
+def press_key(page: Any, key: str) -> None:
+    """Press a key of the page when it has its link, which a busy machine may have kept from it:
+    without one most keys do nothing."""
+    page.wait_for_selector("#link.good")
+    page.keyboard.press(key)
 
 
 def until(condition: Callable[[], Any], page: Any, seconds: float = 60.0) -> Any:
@@ -164,9 +166,47 @@ def test_long_texts_fit_every_size(rig: StandIn, page: Any, width: int, height: 
         page.wait_for_selector(f"#cue[data-look={look}]")
         page.wait_for_selector("#banner", state="visible" if problems else "hidden")
         if problems and step == "prepare":
-            page.keyboard.press("Space")
+            press_key(page, "Space")
         page.wait_for_timeout(300)
         assert page.evaluate(OVERFLOW) == [], step
+
+
+NO_AREA = Problem(
+    "camera",
+    "No contact area.",
+    "Check power and cable of the camera; its driver connects again by itself.",
+    1.1,
+)
+
+
+@pytest.mark.parametrize(("width", "height"), [(800, 600), (1280, 800)])
+@pytest.mark.parametrize("problems", [[NO_AREA, NO_FORCE], [LONG, NO_FORCE]])
+def test_a_second_fault_and_the_trial_are_in_sight(
+    rig: StandIn, page: Any, width: int, height: int, problems: list[Problem]
+) -> None:
+    page.set_viewport_size({"width": width, "height": height})
+    prepare(rig, page, warnings=["The disk has room for only 3 more trials."])
+    rig.problems = problems
+    told = f"{problems[0].remedy} And 1 more: No force."
+    until(lambda: page.inner_text("#banner-remedy") == told, page)
+    page.wait_for_timeout(300)
+    cue = page.locator("#cue").bounding_box()
+    for place in ("#banner-text", "#banner-remedy", "#cue-trial", "#cue-text"):
+        box = page.locator(place).bounding_box()
+        assert box is not None, place
+        assert cue["y"] <= box["y"] and box["y"] + box["height"] <= cue["y"] + cue["height"], place
+    assert page.evaluate(OVERFLOW) == []
+
+
+@pytest.mark.parametrize(("width", "button"), [(1920, "Preparation text"), (800, "Prep. text")])
+def test_words_say_what_is_meant(rig: StandIn, page: Any, width: int, button: str) -> None:
+    page.set_viewport_size({"width": width, "height": 900})
+    prepare(rig, page)
+    until(lambda: "(2\xa0attempts)" in page.inner_text("#trials tr[data-index='0']"), page)
+    assert "✓ kept" in page.inner_text("#trials tr[data-index='0']")
+    assert button in page.inner_text("#preparation-edit")
+    assert "press before" in page.inner_text("#third-legend")
+    assert page.evaluate(OVERFLOW) == []
 
 
 def long_names() -> dict[str, Any]:
@@ -208,7 +248,7 @@ def test_zoomed_to_200_percent_everything_is_there(
     page = context.new_page()
     page.goto(rig.server.url)
     has_status(page)
-    page.keyboard.press("Space")
+    press_key(page, "Space")
     page.wait_for_selector("#session-dialog[open]")
     begin = page.locator("#plan-start").bounding_box()
     assert begin is not None and 0 <= begin["y"] <= height - begin["height"]
@@ -246,7 +286,7 @@ def test_axe_finds_nothing_in_the_rarer_looks(
 ) -> None:
     """Faults, stale values, waits, a pause, the last press, long names, no link."""
     page.emulate_media(color_scheme=scheme, reduced_motion="reduce")
-    page.keyboard.press("Space")
+    press_key(page, "Space")
     page.fill("#plan-subject", "Maria")
     rig.answers["configure"] = (False, "a subject code has a digit in it and is never a name")
     page.click("#plan-start")
@@ -262,7 +302,7 @@ def test_axe_finds_nothing_in_the_rarer_looks(
     page.click("#tab-health")
     until(lambda: "no image for" in page.inner_text("#image-none"), page)
     until(lambda: "late" in page.inner_text("#health"), page)
-    page.keyboard.press("Space")
+    press_key(page, "Space")
     until(lambda: "Not ready" in page.inner_text("#answer"), page)
     assert violations(page) == [], "stale values and a refusal"
     rig.gone, rig.problems = set(), []
@@ -301,16 +341,14 @@ def test_axe_finds_nothing_in_the_rarer_looks(
 def test_axe_finds_nothing(rig: StandIn, page: Any, browser: Any, scheme: str) -> None:
     page.emulate_media(color_scheme=scheme, reduced_motion="reduce")
     assert violations(page) == []
-    linked(page)
-    page.keyboard.press("Space")
+    press_key(page, "Space")
     page.wait_for_selector("#session-dialog[open]")
     until(lambda: "used before" in page.inner_text("#subject-used"), page)
     assert violations(page) == []
     page.click("#plan-cancel")
     prepare(rig, page, warnings=["The disk has room for only 3 more trials."])
     for key, dialog in (("s", "ask"), ("n", "text"), ("?", "keys")):
-        linked(page)
-        page.keyboard.press(key)
+        press_key(page, key)
         page.wait_for_selector(f"#{dialog}-dialog[open]")
         assert violations(page) == [], key
         page.keyboard.press("Escape")
@@ -388,7 +426,7 @@ def test_a_dead_sensor_looks_dead_within_a_second(rig: StandIn, page: Any) -> No
     assert blank < 2000
     assert "none for" in page.inner_text("#force-panel h2")
     assert "Silent for" in page.inner_text("#banner-text")
-    page.keyboard.press("Space")
+    press_key(page, "Space")
     until(lambda: "Not ready: No force." in page.inner_text("#answer"), page)
     assert not any(name == "start" for name, _ in rig.commands)
     rig.gone, rig.problems = set(), []
@@ -428,7 +466,7 @@ def test_a_reading_counts_once_however_often_enter_is_pressed(rig: StandIn, page
     page.fill("#moisture-input", "44.4")
     page.eval_on_selector("#moisture-form", "f => { f.requestSubmit(); f.requestSubmit(); }")
     until(lambda: "did moisture" in page.inner_text("#answer"), page)
-    page.keyboard.press("k")
+    press_key(page, "k")
     until(lambda: "marker" in [name for name, _ in rig.commands], page)
     assert [name for name, _ in rig.commands] == ["moisture", "marker"]
 
@@ -436,7 +474,7 @@ def test_a_reading_counts_once_however_often_enter_is_pressed(rig: StandIn, page
 def test_redo_asks_before_it_takes_a_kept_trial_back(rig: StandIn, page: Any) -> None:
     prepare(rig, page, attempt=0)
     rig.commands.clear()
-    page.keyboard.press("r")
+    press_key(page, "r")
     page.wait_for_selector("#ask-dialog[open]")
     assert "last kept trial" in page.inner_text("#ask-title")
     page.keyboard.press("Escape")
@@ -448,7 +486,7 @@ def test_redo_asks_before_it_takes_a_kept_trial_back(rig: StandIn, page: Any) ->
     prepare(rig, page, attempt=1, trials=trials)
     until(lambda: "repeat" in page.inner_text("#trials tr[data-index='3']"), page)
     page.wait_for_timeout(500)  # two presses sooner than that are one
-    page.keyboard.press("r")
+    press_key(page, "r")
     until(lambda: [name for name, _ in rig.commands] == ["redo"], page)
 
 
@@ -466,7 +504,7 @@ def test_redo_names_the_trial_that_it_takes_back_and_takes_that_one(
         told["trials"][index].update(verdict=verdict)
     prepare(rig, page, attempt=0, trials=told["trials"], events=events)
     rig.commands.clear()
-    page.keyboard.press("r")
+    press_key(page, "r")
     page.wait_for_selector("#ask-dialog[open]")
     assert page.inner_text("#ask-title") == "Redo the last kept trial, 4 (natural)?"
     page.click("#ask-buttons button:has-text('Redo the trial')")
@@ -492,8 +530,19 @@ def test_untared_is_said_before_ready(rig: StandIn, page: Any) -> None:
     until(lambda: "Tare needed" in page.inner_text("#banner"), page)
     until(lambda: "not tared" in page.inner_text("#force-panel h2"), page)
     assert page.inner_text("#estimate-value") == "–", "an estimate of a force without zero"
-    page.keyboard.press("t")
+    press_key(page, "t")
     until(lambda: ("tare", {}) in rig.commands, page)
+
+
+def test_a_key_is_pressed_when_the_page_has_its_link_again(rig: StandIn, page: Any) -> None:
+    prepare(rig, page)
+    rig.silent = True
+    page.wait_for_selector("#link.bad")
+    again = threading.Timer(1.0, setattr, (rig, "silent", False))
+    again.start()
+    press_key(page, "k")
+    again.join()
+    until(lambda: [name for name, _ in rig.commands] == ["marker"], page)
 
 
 def test_a_silent_server_stops_cue_and_buttons(rig: StandIn, page: Any) -> None:
@@ -553,7 +602,7 @@ def test_after_a_restart_of_the_rig_the_page_reloads_itself(
     with StandIn(port) as second:
         page.wait_for_selector("#link.good", timeout=60000)
         assert page.evaluate("window.same") is None, "the old page had the old token"
-        page.keyboard.press("t")
+        press_key(page, "t")
         until(lambda: ("tare", {}) in second.commands, page)
 
 
@@ -627,7 +676,7 @@ def test_a_trial_is_good_only_when_it_is_saved(rig: StandIn, page: Any) -> None:
 
 def test_a_session_begins_with_all_that_was_typed(rig: StandIn, page: Any) -> None:
     page.wait_for_selector("#cue[data-look=closed]")
-    page.keyboard.press("Space")
+    press_key(page, "Space")
     assert "used before" in page.inner_text("#subject-used")
     page.fill("#plan-subject", "S07")
     assert page.inner_text("#subject-used") == ""
@@ -657,7 +706,7 @@ def test_a_session_s_order_and_codes_that_may_be_one_person_are_told(
     rig: StandIn, page: Any
 ) -> None:
     page.wait_for_selector("#cue[data-look=closed]")
-    page.keyboard.press("Space")
+    press_key(page, "Space")
     page.fill("#plan-conditions", "dry, moist")
     until(lambda: page.inner_text("#plan-blocks") == "Blocks: dry, moist.", page)
     page.select_option("#plan-order", "counterbalanced")
@@ -669,6 +718,12 @@ def test_a_session_s_order_and_codes_that_may_be_one_person_are_told(
     until(lambda: page.inner_text("#plan-blocks") == blocks, page)
     page.fill("#plan-subject", "")
     until(lambda: page.inner_text("#plan-blocks") == "", page)
+    page.fill("#plan-subject", "S02")
+    until(lambda: page.inner_text("#plan-blocks") == blocks, page)
+    page.fill("#plan-conditions", "dry; natural")
+    until(lambda: page.inner_text("#plan-blocks") == "", page)
+    assert "separated by commas" in page.inner_text("label:has(#plan-conditions)")
+    assert page.inner_text("#plan-new") == ""
     for code in ("s01", "S1"):
         page.fill("#plan-subject", code)
         warning = page.inner_text("#subject-used")
@@ -678,15 +733,33 @@ def test_a_session_s_order_and_codes_that_may_be_one_person_are_told(
     assert page.inner_text("#subject-used") == ""
 
 
+def test_a_condition_that_may_be_misspelt_is_told_and_not_refused(rig: StandIn, page: Any) -> None:
+    page.wait_for_selector("#cue[data-look=closed]")
+    press_key(page, "Space")
+    told = "'{}' is a new condition without a preparation text."
+    for names, sentence in (
+        ("natrual, dry", f"{told.format('natrual')} Write natural if that is meant."),
+        ("natural, dry", ""),
+        ("dry, cold", told.format("cold")),
+    ):
+        page.fill("#plan-conditions", names)
+        until(lambda sentence=sentence: page.inner_text("#plan-new") == sentence, page)
+        until(lambda names=names: f"Blocks: {names}." == page.inner_text("#plan-blocks"), page)
+    assert violations(page) == []
+    page.click("#plan-start")
+    until(lambda: [name for name, _ in rig.commands] == ["configure", "start"], page)
+    assert rig.commands[0][1]["conditions"] == ["dry", "cold"]
+
+
 def test_notes_markers_and_the_end_of_a_session(rig: StandIn, page: Any) -> None:
     prepare(rig, page)
-    page.keyboard.press("k")
-    page.keyboard.press("n")
+    press_key(page, "k")
+    press_key(page, "n")
     page.fill("#text-input", "<b>slipped</b>")
     page.select_option("#text-trial", "3")
     page.click("#text-form .primary")
     page.wait_for_selector("#text-dialog:not([open])", state="attached")
-    page.keyboard.press("x")
+    press_key(page, "x")
     page.click("#ask-buttons button:has-text('End the session')")
     until(lambda: len(rig.commands) == 3, page)
     assert list(rig.commands) == [
@@ -705,7 +778,7 @@ def test_notes_markers_and_the_end_of_a_session(rig: StandIn, page: Any) -> None
 def test_calibrate_subject_begins_a_calibration_with_what_was_typed(
     rig: StandIn, page: Any
 ) -> None:
-    page.keyboard.press("Space")
+    press_key(page, "Space")
     page.fill("#plan-subject", "S07")
     page.fill("#plan-age", "31")
     rig.answers["calibrate"] = (False, "a calibration needs the camera")
@@ -742,7 +815,7 @@ def test_calibrate_subject_begins_a_calibration_with_what_was_typed(
 def test_a_double_click_is_one_click(rig: StandIn, page: Any) -> None:
     """The second click would already mean the next step: a trial that nobody has prepared."""
     page.wait_for_selector("#cue[data-look=closed]")
-    page.keyboard.press("Space")
+    press_key(page, "Space")
     page.dblclick("#plan-start")
     page.wait_for_selector("#session-dialog:not([open])", state="attached")
     assert [name for name, _ in rig.commands] == ["configure", "start"]
@@ -755,10 +828,10 @@ def test_a_double_click_is_one_click(rig: StandIn, page: Any) -> None:
     until(lambda: rig.commands, page)
     prepare(rig, page)
     page.wait_for_timeout(500)
-    page.keyboard.press("Space")
+    press_key(page, "Space")
     page.keyboard.press("Space")
     page.dblclick("#marker")
-    page.keyboard.press("n")
+    press_key(page, "n")
     page.fill("#text-input", "x" * 2000)
     page.dblclick("#text-form .primary")
     page.wait_for_selector("#text-dialog:not([open])", state="attached")
@@ -781,9 +854,9 @@ def test_two_tabs_show_the_same_and_either_commands(rig: StandIn, page: Any, bro
         tab.wait_for_selector("#cue[data-look=press]")
         until(lambda tab=tab: "Trial 3 of 6" in tab.inner_text("#cue-trial"), tab)
     other.bring_to_front()
-    other.keyboard.press("r")
+    press_key(other, "r")
     page.bring_to_front()
-    page.keyboard.press("p")
+    press_key(page, "p")
     until(lambda: [name for name, _ in rig.commands] == ["redo", "pause"], page)
     other.close()
 
@@ -800,7 +873,7 @@ def test_a_reload_in_the_middle_of_a_press_shows_the_press(rig: StandIn, page: A
     assert page.is_disabled("#start") and page.is_enabled("#pause")
     rig.cue("lift")
     page.wait_for_selector("#cue[data-look=lift]")
-    page.keyboard.press("?")
+    press_key(page, "?")
     page.reload()
     page.wait_for_selector("#cue[data-look=lift]")
     page.wait_for_timeout(300)
@@ -816,18 +889,18 @@ def test_a_reload_in_the_middle_of_a_press_shows_the_press(rig: StandIn, page: A
 def test_space_on_a_focused_button_is_that_buttons_and_skip_asks(rig: StandIn, page: Any) -> None:
     prepare(rig, page)
     page.focus("#skip")
-    page.keyboard.press("Space")
+    press_key(page, "Space")
     page.wait_for_selector("#ask-dialog[open]")
     assert page.evaluate("document.activeElement.textContent") == "Cancel"
     page.keyboard.press("Space")
     page.wait_for_selector("#ask-dialog:not([open])", state="attached")
     assert not rig.commands
-    page.keyboard.press("s")
+    press_key(page, "s")
     page.click("#ask-buttons button:has-text('Skip the trial')")
     until(lambda: list(rig.commands) == [("skip", SEEN)], page)
     # After a click with the pointer, Space is Ready again.
     page.click("#marker")
-    page.keyboard.press("Space")
+    press_key(page, "Space")
     until(lambda: list(rig.commands)[1:] == [("marker", SEEN_SESSION), ("start", SEEN)], page)
 
 
@@ -835,7 +908,7 @@ def test_a_question_asked_at_once_after_another_is_answered_for_itself(
     rig: StandIn, page: Any
 ) -> None:
     prepare(rig, page)
-    page.keyboard.press("s")
+    press_key(page, "s")
     page.wait_for_selector("#ask-dialog[open]")
     # The first dialog tells that it closed only after the second one is open.
     page.evaluate("""() => {
@@ -846,7 +919,7 @@ def test_a_question_asked_at_once_after_another_is_answered_for_itself(
     page.click("#ask-buttons button:has-text('Skip the trial')")
     until(lambda: list(rig.commands) == [("skip", SEEN)], page)
     # Escape answers no.
-    page.keyboard.press("s")
+    press_key(page, "s")
     page.wait_for_selector("#ask-dialog[open]")
     page.keyboard.press("Escape")
     page.wait_for_selector("#ask-dialog:not([open])", state="attached")
@@ -970,13 +1043,13 @@ def test_the_tone_sounds_at_the_cue_to_lift_unless_muted(rig: StandIn, page: Any
     page.add_init_script(TONES)
     page.reload()
     page.wait_for_selector("#link.good")
-    page.keyboard.press("?")
+    press_key(page, "?")
     page.click("#tone-test")
     until(lambda: page.evaluate("window.tones") == 1, page)
     page.keyboard.press("Escape")
     rig.cue("lift")
     until(lambda: page.evaluate("window.tones") == 2, page)
-    page.keyboard.press("a")
+    press_key(page, "a")
     until(lambda: page.inner_text("#sound") == "Tone off", page)
     rig.cue("press")
     rig.cue("lift")

@@ -99,6 +99,13 @@ def page_of(results: list[ConditionResult], result: DemoResult, folder: Path) ->
     trials = sum(len(r.curves) for r in results)
     day = result.fit.sources.get("date")
     date = f" Fitted on {html.escape(day)}." if day else ""
+    conditions = f"{len(results)} moisture condition{'s' * (len(results) != 1)}"
+    bars = (
+        "Bars are 95 % intervals by profile likelihood; for a parameter that is not identifiable "
+        "from these data, the bar extends to the ends of the search box. "
+        if any(r.intervals for r in results)
+        else ""
+    )
     seconds, sources = result.seconds, result.fit.sources
     excluded = "".join(
         f"<li>{html.escape(e.label)}: {html.escape(e.reason)}</li>" for e in result.fit.exclusions
@@ -108,7 +115,7 @@ def page_of(results: list[ConditionResult], result: DemoResult, folder: Path) ->
 <meta name="viewport" content="width=device-width,initial-scale=1">
 <style>{CSS}</style></head><body><main>
 <h1>A finger on glass</h1>
-<p class="lead">{trials} presses of a simulated finger in {len(results)} moisture conditions,
+<p class="lead">{trials} presses of a simulated finger in {conditions},
 recorded over DDS by the whole suite, replayed from their bags and fitted. The estimates receive the
 finger only through CAN frames, camera images and lines of a moisture probe.{date}</p>
 {picture("live", "One press as it was published live")}
@@ -120,11 +127,9 @@ in images, estimated at the force rate with the shipped parameters, and true.</p
 <h2>Fitted parameters beside the true ones</h2>
 {parameter_table(results)}
 {picture("parameters", "Fitted over true value of each parameter")}
-<p class="note">Bars are 95 % intervals by profile likelihood; for a parameter that is not
-identifiable from these data, the bar extends to the ends of the search box. So few presses tell
-little of a single parameter, although the model describes their areas well: E2, E1 and E0 can
-replace one another in part, and a small τ1 has no visible effect. More presses make the intervals
-narrower.</p>
+<p class="note">{bars}So few presses tell little of a single parameter, although the model describes
+their areas well: E2, E1 and E0 can replace one another in part, and a small τ1 has no visible
+effect. More presses make the intervals narrower.</p>
 <h2>J of the model and of the power law</h2>
 {picture("cost", "J of model, truth and power law")}
 <p class="note">J is the sum over presses of the mean squared difference of area, on the same frames

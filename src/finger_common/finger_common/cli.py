@@ -90,6 +90,12 @@ class Parser(argparse.ArgumentParser):
             raise argparse.ArgumentError(action, text)
         return super()._get_values(action, arg_strings)  # type: ignore[misc]
 
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """As in the base class; the default is a choice too, such as an empty one that the help
+        does not list."""
+        if value != action.default:
+            super()._check_value(action, value)  # type: ignore[misc]
+
     def format_usage(self) -> str:
         """What must be given; the options are listed below in the help."""
         needed = [a for a in self._actions if a.required or not a.option_strings]
@@ -166,11 +172,14 @@ def add_settings(parser: Any, cls: type[Settings], without: str = "") -> None:
         allowed = "" if item.choices is not None else item.range_text()
         # A range names the unit already.
         note = f" [{allowed or item.unit}]" if allowed or item.unit else ""
+        default = _default_text(item.default)
+        note += f" (default: {default})" if default else ""
         meaning = f"{item.meaning}{note}".replace("%", "%%")
         if isinstance(item.default, bool):
+            # Some versions of Python add "(default: True)" to a help that they are given here.
             parser.add_argument(
-                flag, action=argparse.BooleanOptionalAction, default=item.default, help=meaning
-            )
+                flag, action=argparse.BooleanOptionalAction, default=item.default
+            ).help = meaning
         elif isinstance(item.default, list):
             parser.add_argument(
                 flag,
@@ -183,16 +192,25 @@ def add_settings(parser: Any, cls: type[Settings], without: str = "") -> None:
                 help=meaning,
             )
         else:
-            default = "none" if item.default == "" else item.default
+            choices = item.choices
+            if item.default == "" and choices:
+                choices = tuple(choice for choice in choices if choice)
             shown = item.name.upper() if isinstance(item.default, str) else "VALUE"
             parser.add_argument(
                 flag,
                 type=integer if type(item.default) is int else type(item.default),
                 default=item.default,
-                choices=item.choices,
-                metavar=None if item.choices else shown,
-                help=f"{meaning} (default: {default})",
+                choices=choices,
+                metavar=None if choices else shown,
+                help=meaning,
             )
+
+
+def _default_text(value: Any) -> str:
+    """A default as the help shows it; empty for an empty one."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return " ".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
 def settings_from(arguments: argparse.Namespace, cls: type[S]) -> S:

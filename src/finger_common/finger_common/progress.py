@@ -66,7 +66,7 @@ class Stages:
         self._clock = clock
         self._ended = threading.Event()
         self._last_line = self._last_update = clock()
-        self._last_stage = ""
+        self._last_stage, self._last_finished = "", False
         self._began: dict[str, tuple[float, float]] = {}
         self._shown: dict[str, float] = {}
         self._finished: set[str] = set()
@@ -100,11 +100,15 @@ class Stages:
             self.beat()
 
     def beat(self) -> None:
-        """A line where none came for a while: a stage that tells nothing is still working."""
-        now = self._clock()
-        if now - self._last_line >= SILENCE:
-            since = duration_text(now - self._last_update)
-            self._say(f"still working, {since} after: {self._last_stage or 'start'}")
+        """A line where none came for a while: what tells nothing is still running."""
+        now, stage = self._clock(), self._last_stage
+        if now - self._last_line < SILENCE:
+            return
+        if stage and not self._last_finished:
+            self._say(f"{stage}: still running after {duration_text(now - self._began[stage][0])}")
+            return
+        since = duration_text(now - self._last_update)
+        self._say(f"still running, {since} after the {f'end of {stage}' if stage else 'start'}")
 
     def _say(self, text: str) -> None:
         self._last_line = self._clock()
@@ -122,8 +126,8 @@ class Stages:
             self._bars.update(self._tasks[stage], **values)
             return
         now = self._clock()
-        self._last_update, self._last_stage = now, stage
         finished = done >= total
+        self._last_update, self._last_stage, self._last_finished = now, stage, finished
         if stage in self._finished and not finished:
             # It is done once more, with other values.
             self._finished.discard(stage)

@@ -268,16 +268,34 @@ def test_a_stage_that_is_done_once_more_tells_it_again() -> None:
     assert lines == once + once
 
 
-def test_a_stage_that_tells_nothing_is_said_to_be_working() -> None:
+def test_what_tells_nothing_is_said_to_be_running() -> None:
     now = [0.0]
     lines: list[str] = []
     stages = Stages(terminal=False, line=lines.append, clock=lambda: now[0])
-    stages.update("dry polish", 1, 1)
-    for now[0] in (5.0, 10.0, 15.0, 20.0, 30.0):
-        stages.beat()
-    assert lines[1:] == [
-        "still working, 15 s after: dry polish",
-        "still working, 30 s after: dry polish",
+
+    def wait() -> None:
+        for _ in range(6):
+            now[0] += 5.0
+            stages.beat()
+
+    wait()
+    stages.update("dry search", 0, 2)
+    wait()
+    stages.update("dry search", 1, 2)
+    wait()
+    stages.update("dry search", 2, 2)
+    wait()
+    assert lines == [
+        "still running, 15 s after the start",
+        "still running, 30 s after the start",
+        "dry search: still running after 15 s",
+        "dry search: still running after 30 s",
+        "dry search: 50 %, 30 s left",
+        "dry search: still running after 45 s",
+        "dry search: still running after 1:00 min",
+        "dry search: done in 1:00 min",
+        "still running, 15 s after the end of dry search",
+        "still running, 30 s after the end of dry search",
     ]
 
 

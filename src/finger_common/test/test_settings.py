@@ -86,6 +86,48 @@ def test_options_of_a_command_are_the_fields(capsys: pytest.CaptureFixture[str])
     assert "1 … 7000 Hz" in capsys.readouterr().out
 
 
+@dataclass(frozen=True)
+class Shown(Settings):
+    loop: bool = setting(True, "Loop.")
+    mirror: bool = setting(False, "Mirror.")
+    searches: list[str] = setting(["pso", "de"], "Searches.")
+    bounds: list[str] = setting([], "Bounds.")
+    unit: str = setting("", "Unit.", choices=("", "N", "mN"))
+    share: float = setting(0.5, "Share in %.", maximum=1.0)
+    folder: str = setting("", "Folder.")
+
+
+def test_help_tells_every_default_that_is_not_empty(capsys: pytest.CaptureFixture[str]) -> None:
+    parser = Parser(prog="tool")
+    add_settings(parser, Shown)
+    with pytest.raises(SystemExit):
+        parser.parse_args(["--help"])
+    shown = " ".join(capsys.readouterr().out.split())
+    for words in (
+        "Loop. (default: yes) ",
+        "Mirror. (default: no) ",
+        "Searches. (default: pso de) ",
+        "Bounds. --unit {N,mN} Unit. --share",
+        "Share in %. [≤ 1] (default: 0.5) ",
+    ):
+        assert words in shown
+    assert shown.endswith("Folder.")
+
+
+def test_a_choice_may_be_empty_where_that_is_the_default(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    parser = Parser(prog="tool")
+    add_settings(parser.add_argument_group("units"), Shown)
+    for given in ([], ["--unit", ""], ["--unit="]):
+        assert settings_from(parser.parse_args(given), Shown).unit == ""
+    assert settings_from(parser.parse_args(["--unit", "mN"]), Shown).unit == "mN"
+    with pytest.raises(SystemExit):
+        parser.parse_args(["--unit", "n"])
+    # Versions of Python differ in the quotes.
+    assert "(choose from N, mN)" in capsys.readouterr().err.replace("'", "")
+
+
 def test_an_unknown_plugin_is_named_with_those_installed() -> None:
     with pytest.raises(
         InputError, match=r"console script 'x' is not installed; known are .*pytest"

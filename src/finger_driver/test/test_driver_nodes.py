@@ -387,7 +387,9 @@ def test_the_command_has_an_example_and_refuses_in_one_line(tmp_path: Path, caps
 
     with pytest.raises(SystemExit):
         cli.run(_main, ["--help"])
-    assert "example:" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "Run one simulated device. DEVICE is one of the installed simulators:" in told
+    assert "example:" in told and "`" not in told
     (tmp_path / "bad.csv").write_text("time_s,force_n\n0,1\n0,2\n")
     for arguments in (
         ("netcanoem", "--wrench", "1,2"),

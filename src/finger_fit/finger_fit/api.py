@@ -45,6 +45,7 @@ from finger_offline.unloaded import pressed_force, reached_force, unloaded_tare
 from .options import FitOptions
 from .problem import force_limit_of
 from .problem.trials import smoothed
+from .report_units import interval_text
 from .results import ConditionFit, Finger, FitResult, QuantityResult, check_folder, write
 from .study import draw, fit_records, provenance
 
@@ -360,17 +361,6 @@ def _code(value: Any, name: str) -> str:
     return text
 
 
-def _check_spelling(names: Iterable[str]) -> None:
-    """Raise InputError for names of subjects or conditions that differ in case alone."""
-    spelled: dict[str, str] = {}
-    for name in names:
-        first = spelled.setdefault(name.casefold(), name)
-        if first != name:
-            raise InputError(
-                f"fit: '{name}' and '{first}' differ in case alone; write one name in one way"
-            )
-
-
 def _scalar(value: Any, name: str) -> Any:
     if isinstance(value, (bool, str)) or not np.isscalar(value) or not np.isfinite(value):
         raise InputError(f"{name} is {value!r}; give a number")
@@ -521,14 +511,20 @@ class Fit:
 
     def summary(self) -> str:
         """A table of the parameters as text: 95 % intervals, and those from the data alone."""
-        lines = ["95 % intervals; data: from the data alone, lengths and gain as assumed"]
+        lines = [
+            "95 % intervals; data: from the data alone, lengths and gain as assumed; "
+            "≤: end of the search box"
+        ]
         for name, found in self.result.fits.items():
             lines.append(f"{name or 'all'} ({len(found.problem)} presses): {found.status}")
             for quantity in map(found.space.describe, found.space.quantity_names):
                 known, span = found.found(quantity.name), ""
-                for word, ends in (("", known.interval), ("data ", known.data_interval)):
+                for word, ends, cut in (
+                    ("", known.interval, known.cut),
+                    ("data ", known.data_interval, known.data_cut),
+                ):
                     if not np.isnan(ends[0]):
-                        span += f"  {word}[{quantity.text(ends[0])}, {quantity.text(ends[1])}]"
+                        span += f"  {word}[{interval_text(map(quantity.text, ends), cut, ', ')}]"
                 text = quantity.text(known.value)
                 lines.append(f"  {quantity.name:12} {text:>9}{span} {quantity.display_unit}")
         return "\n".join(lines)
@@ -617,8 +613,6 @@ def fit(
         records += found
         if len(found) > 1:
             several.append(f"{signals.name} ({len(found)})")
-    for spelled in ("subject", "condition"):
-        _check_spelling(getattr(record, spelled) for record in records)
     conditions = (conditions,) if isinstance(conditions, str) else conditions
     result = fit_records(records, model, chosen, conditions)
     if several:

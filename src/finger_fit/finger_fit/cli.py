@@ -32,8 +32,8 @@ from finger_model.finger import load_areas
 
 from .nuisance_names import name_of
 from .options import FitOptions
-from .report_units import MM4, three_digits
-from .results import FitResult
+from .report_units import MM4, interval_text, three_digits
+from .results import ConditionFit, FitResult
 from .study import fit_bags, reading
 
 EXAMPLE = (
@@ -130,6 +130,24 @@ def summary(result: FitResult) -> Table:
     return table
 
 
+def headline_intervals(fit: ConditionFit) -> str:
+    """Both intervals of the headline quantity as a line; empty without any."""
+    headline = fit.space.describe(fit.space.headline)
+    found = fit.found(headline.name)
+    if np.isnan(found.data_interval[0]):
+        return ""
+    ends = ((found.interval, found.cut), (found.data_interval, found.data_cut))
+    whole, part = (
+        f"{interval_text(map(headline.text, e), cut, ' to ')} {headline.display_unit}"
+        for e, cut in ends
+    )
+    marks = " (≤: end of the search box)" if any(found.cut + found.data_cut) else ""
+    return (
+        f"{headline.symbol} {whole} (95 %); from the data alone, with lengths and gain as assumed, "
+        f"{part}{marks}"
+    )
+
+
 def command(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns the exit code."""
     given = list(sys.argv[1:] if argv is None else argv)
@@ -173,15 +191,8 @@ def command(argv: Sequence[str] | None = None) -> int:
     for exclusion in result.exclusions:
         print(f"excluded: {plain(exclusion.label)}: {plain(exclusion.reason)}")
     for name, fit in result.fits.items():
-        headline = fit.space.describe(fit.space.headline)
-        found = fit.found(headline.name)
-        if not np.isnan(found.data_interval[0]):
-            ends = (found.interval, found.data_interval)
-            whole, part = (" to ".join(map(headline.text, e)) for e in ends)
-            print(
-                f"{plain(name)}: {headline.symbol} {whole} {headline.display_unit} (95 %); from "
-                f"the data alone, with lengths and gain as assumed, {part} {headline.display_unit}"
-            )
+        if intervals := headline_intervals(fit):
+            print(f"{plain(name)}: {intervals}")
         if fit.indentation is not None:
             used = fit.indentation
             print(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -27,6 +28,11 @@ def three_digits(value: float) -> str:
     rounded = float(f"{value:.2e}")
     digits = 2 - math.floor(math.log10(abs(rounded))) if rounded else 2
     return f"{rounded:.{max(digits, 0)}f}"
+
+
+def interval_text(ends: Iterable[str], cut: Sequence[bool], between: str) -> str:
+    """Both ends of an interval; ≤ stands beside those where the search box cuts it off."""
+    return "≤ " * cut[0] + between.join(ends) + " ≤" * cut[1]
 
 
 def minus(text: str) -> str:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import copy
 import csv
+import html
 import json
 import math
 import re
@@ -23,9 +24,13 @@ import pytest
 from finger_common.errors import InputError
 from finger_common.flags import AreaFlag
 from finger_fit import Fit, Trial, fit
+from finger_fit.cli import headline_intervals
 from finger_fit.options import FitOptions
 from finger_fit.problem import AreaCorrection, prepare
-from finger_fit.results import FitResult, contrasts
+from finger_fit.report.figures import FIGURES
+from finger_fit.report.identifiability import covariances
+from finger_fit.report.page import render
+from finger_fit.results import FitResult, contrasts, fit_dict
 from finger_fit.study import fit_records
 from finger_model.geometry import Geometry
 from finger_model.laws import ParameterSpace, ParameterSpec, law_of
@@ -530,6 +535,41 @@ def test_without_profiles_the_covariance_gives_the_intervals(
     # The gain of all areas is assumed in both: the whole interval is wider than that of the data.
     profiled = result.intervals["composite_E"]
     assert np.log(high / low) == pytest.approx(np.log(profiled[1] / profiled[0]), rel=0.3)
+
+
+def test_a_report_names_the_method_of_its_intervals_and_marks_where_they_are_cut_off(
+    double: SimpleNamespace,
+) -> None:
+    trials = trials_of(double, 4, condition="dry")
+    bounds = {"E0": (115e3, 125e3), "E1": (24e3, 26e3), "tau1": (0.3, 0.8)}
+    quick = {**QUICK, "bootstrap": 0, "bounds": bounds}
+    pages, lines = {}, {}
+    for profiles in (False, True):
+        options = {**quick, "profiles": profiles, "polish": profiles}
+        found = fit(trials, model=double.HereditaryModel(), **options)
+        page = render(found.result, dict.fromkeys(FIGURES, b""))
+        pages[profiles] = html.unescape(re.sub("<[^>]+>", " ", page))
+        (fitted,) = found.result.fits.values()
+        lines[profiles] = found.summary(), headline_intervals(fitted)
+        known = fitted.found("E1")
+        assert known.interval == (24e3, 26e3) and known.cut == (True, True)
+        entry = fit_dict(found.result)["conditions"]["dry"]["interval_95"]["E1"]
+        assert entry["low_is_bound"] and entry["high_is_bound"]
+    plain, profiled = pages[False], pages[True]
+    assert not re.search("profile likelihood|after the bounded local polish", plain)
+    assert "from the covariance (no profiles were computed), cut off at the search box" in plain
+    assert "95 % intervals by profile likelihood" in profiled and "covariance (no" not in profiled
+    assert "Band: 95 % interval by profile likelihood" in profiled
+    assert "≤ 24.00 – 26.00 ≤" in plain
+    for summary, line in lines.values():
+        assert re.search(r"E1 .*\[≤ 24\.\d+, 26\.\d+ ≤\]", summary)
+        assert "≤: end of the search box" in summary
+        assert re.match(r"E ≤ 19\.86 to 21\.52 ≤ kPa \(95 %\); ", line)
+        assert line.endswith(" (≤: end of the search box)")
+    # A parameter that is held by a bound has no deviation.
+    assert fitted.covariance is not None and "tau1" in fitted.covariance.active
+    table = covariances(found.result)
+    assert "<td>–</td>" in table and "0.0 %" not in table
 
 
 def test_dates_are_times() -> None:

@@ -17,8 +17,10 @@ import numpy as np
 import pytest
 
 from finger_bag.writer import BagWriter
+from finger_common.cli import run
 from finger_common.errors import InputError
 from finger_common.flags import AreaFlag
+from finger_fit.cli import command
 from finger_fit.options import FitOptions
 from finger_fit.problem import FitProblem
 from finger_fit.quality import screen
@@ -136,16 +138,21 @@ def test_a_press_counts_where_only_its_copy_is_in_another_unit(presses: list[Any
     assert "name the unit" in found.exclusions[0].reason
 
 
-@pytest.mark.parametrize("start", [1_700_000_000, 0])
-def test_copies_of_a_bag_count_once(tmp_path: Path, start: int) -> None:
-    """Of a clock that was set, and of one that was not."""
-    with BagWriter(tmp_path / "a", {"subject": "S01", "condition": "dry"}) as bag:
+def write_press(folder: Path, start: int, condition: str) -> None:
+    """A bag of S01 with one press, from `start` on, in s."""
+    with BagWriter(folder, {"subject": "S01", "condition": condition}) as bag:
         for k in range(1500):
             force = 1.5 * min(max(k / 500 - 0.5, 0.0), max(2.5 - k / 500, 0.0), 1.0)
             header = {"header": {"stamp": start * 10**9 + (k + 1) * 2_000_000}}
             bag.write("wrench", {**header, "wrench": {"force": {"z": -force}}})
             if k % 50 == 0:
                 bag.write("contact_area", {**header, "gross_area": 4e-5 * force})
+
+
+@pytest.mark.parametrize("start", [1_700_000_000, 0])
+def test_copies_of_a_bag_count_once(tmp_path: Path, start: int) -> None:
+    """Of a clock that was set, and of one that was not."""
+    write_press(tmp_path / "a", start, "dry")
     shutil.copytree(tmp_path / "a", tmp_path / "copy")
     process(tmp_path / "a", tmp_path / "processed")
     bags = [tmp_path / name for name in ("a", "a", "copy", "processed")]
@@ -158,14 +165,26 @@ def test_copies_of_a_bag_count_once(tmp_path: Path, start: int) -> None:
     assert [len(found.records), len(found.notes)] == ([1, 0] if start else [2, 1])
 
 
-def test_codes_of_subjects_that_differ_in_case_are_noted(
+def test_codes_of_subjects_are_written_in_one_way(
     double: SimpleNamespace, presses: list[Any]
 ) -> None:
     other = [double.make_record(i, 0.7 + 0.4 * i, 0.3e-6) for i in range(4)]
-    result = fitted(double, [*presses, *(replace(p, subject="s01") for p in other)])
-    assert any("'S01' and 's01' differ in case alone" in note for note in result.problems)
+    with pytest.raises(InputError, match=r"'S01' in .* and 's01' in .* differ in case alone"):
+        fitted(double, [*presses, *(replace(p, subject="s01") for p in other)])
     with pytest.raises(InputError, match=r"subject '\.\./S01' is no code"):
         fitted(double, [replace(p, subject="../S01") for p in presses])
+
+
+def test_bags_whose_conditions_differ_in_case_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for number, condition in enumerate(["dry", "Dry"]):
+        write_press(tmp_path / f"b{number}", 1_700_000_000 + 10 * number, condition)
+    bags = [str(tmp_path / name) for name in ("b0", "b1")]
+    assert run(command, [*bags, "-o", str(tmp_path / "fit"), "--quiet"]) == 2
+    (said,) = capsys.readouterr().err.splitlines()
+    assert "conditions 'dry' in " in said and "/b0 and 'Dry' in " in said
+    assert "differ in case alone; write one name in one way, or fit each of them alone" in said
 
 
 def test_a_press_that_began_before_the_recording_is_left_out(

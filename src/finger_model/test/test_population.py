@@ -27,7 +27,8 @@ from finger_model.laws import StandardLinearSolid
 from finger_model.laws.generalized_maxwell import LAWS_BY_BRANCHES
 from finger_model.parameter_sets import ParameterSet, ParameterSets
 from finger_model.reduced import ReducedModel, population_runs
-from finger_model.reduced.kernels import _drive, _drive_jacobian, record_types
+from finger_model.reduced.elastic_contact import ElasticContacts, LinearGuess
+from finger_model.reduced.kernels import NODES, _drive, _drive_jacobian, record_types
 from finger_model.reduced.model import load_population
 from finger_model.reduced.population_build import PopulationSettings, build, held_out_runs
 from finger_model.reduced.population_runs import held_out_case, run, training_case
@@ -80,6 +81,36 @@ def test_the_error_does_not_grow_over_taps_without_a_pause(
         taps = np.array_split(wrong, 8)
         assert wrong.max() < most
         assert taps[-1].max() < 1.1 * taps[-3].max(), "it settles"
+
+
+def test_presses_that_are_wrong_at_one_load_are_left_out_there() -> None:
+    """Of the full order's areas one in a hundred is wrong at the least load, by tens of percent."""
+    rng = np.random.default_rng(3)
+    fingers, loads, finer_ones = 240, 3, 120
+    contexts = rng.uniform(-1.0, 1.0, (2, fingers, 11))
+    guess = LinearGuess(np.zeros((2, fingers, len(NODES), 2)), np.zeros((2, fingers, 3)))
+    truth = np.full((2, fingers, len(NODES), 9), np.nan)
+    of_finger = np.sin(contexts[..., :1] + 0.5 * contexts[..., 1:2])
+    for load in range(loads):
+        truth[:, :, load] = (load + 1) * of_finger * np.arange(1, 10) + 0.1
+    truth[..., :3] += rng.normal(0.0, 2e-3, (2, fingers, len(NODES), 3))
+    finer = truth[:, :finer_ones, :, :3] + 0.01 * of_finger[:, :finer_ones, None]
+    coarse, finer_measured = truth.copy(), finer + rng.normal(0.0, 2e-3, finer.shape)
+    coarse[1, 40, 0, 0] += 0.3
+    coarse[0, 90, 2, 2] -= 0.2
+    finer_measured[0, 20, 1, 1] += 0.2
+    first = ElasticContacts.fit(contexts, guess, coarse, finer_measured, lambda share: None)
+    kept, finer_kept = first.without_outliers(contexts, guess, coarse, finer_measured)
+    gone = np.argwhere(np.isnan(kept[..., 0]) & np.isfinite(coarse[..., 0]))
+    assert gone.tolist() == [[0, 90, 2], [1, 40, 0]]
+    gone = np.argwhere(np.isnan(finer_kept[..., 0]) & np.isfinite(finer_measured[..., 0]))
+    assert gone.tolist() == [[0, 20, 1], [0, 90, 2], [1, 40, 0]], "differences from wrong ones, too"
+    again = ElasticContacts.fit(contexts, guess, kept, finer_kept, lambda share: None)
+    wrong = [
+        np.abs(found.coarse_curves(contexts, guess)[1, 40, 0, 0] - truth[1, 40, 0, 0])
+        for found in (first, again)
+    ]
+    assert wrong[1] < 0.5 * wrong[0], wrong
 
 
 @pytest.mark.parametrize(

@@ -61,7 +61,7 @@ from .page.feed import (
 )
 from .page.server import PageServer
 from .page.settings import PageSettings
-from .readiness import Readiness, refusal
+from .readiness import Problem, Readiness, refusal
 from .status_message import status_of
 
 T = TypeVar("T")
@@ -75,8 +75,13 @@ ALIVE = 0.2
 PLANNED = "protocol/get_parameters"
 """Service that tells the plan of the next session."""
 
-NODES = {"protocol": "protocol node", "force": "force driver", "moisture": "moisture node"}
-"""What the nodes that carry out commands are called."""
+NOT_RUNNING = {
+    "protocol": "the protocol node is not running",
+    "force": "the force driver is not running",
+    "moisture": "the moisture node is not running; start it, or skip this trial and begin a "
+    "session with Readings 0",
+}
+"""What is answered while the node that carries out a command is not running."""
 
 
 def picture(message: Image) -> np.ndarray | None:
@@ -138,7 +143,9 @@ class PageNode(ManagedNode):
         self._wrench = self.create_polled_subscription(WrenchStamped, "wrench", deep)
         self._state = self.create_polled_subscription(ContactState, "contact_state", deep)
         self.create_stream_subscription(ContactArea, "contact_area", self._on_area, qos)
-        self.create_stream_subscription(Moisture, "moisture", self._on_moisture, qos)
+        self._moisture = self.create_stream_subscription(
+            Moisture, "moisture", self._on_moisture, qos
+        )
         self.create_subscription(Trial, "trial", self._on_trial, LATCHED_QOS)
         self.create_subscription(SessionStatus, "protocol/status", self._on_status, LATCHED_QOS)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
@@ -236,7 +243,7 @@ class PageNode(ManagedNode):
         """Which values are fresh, and what is wrong: a browser that misses this has lost us."""
         now = time.monotonic()
         ages = {kind: self._readiness.age(kind, now) for kind in ("force", "area", "model")}
-        problems = [vars(problem) for problem in self._readiness.problems(now)]
+        problems = [vars(problem) for problem in self._problems(now)]
         self._server.hold_cue(any(problem["source"] == "protocol" for problem in problems))
         self._server.publish(
             "alive",
@@ -247,6 +254,13 @@ class PageNode(ManagedNode):
                 "problems": problems,
             },
         )
+
+    def _problems(self, now: float) -> list[Problem]:
+        """What is wrong now, by what the open session needs."""
+        readings = self._status.get("readings", 0)
+        # A probe of another make than the suite's has no heartbeat: its publisher is enough.
+        needs_node = readings and not self.count_publishers(self._moisture.topic_name)
+        return self._readiness.problems(now, ["moisture"] if needs_node else [])
 
     def _on_status(self, message: SessionStatus) -> None:
         self._status = status_of(message)
@@ -332,7 +346,7 @@ class PageNode(ManagedNode):
             if reason:
                 return False, reason
         if command.service in ("", PARAMETERS):
-            return True, command.answer(arguments)
+            return True, command.answer(arguments, self._status)
         response = await self._call(command.service, request)
         if name == "tare" and response.success:
             await self._in_node(self._forget_curves)
@@ -353,7 +367,7 @@ class PageNode(ManagedNode):
         # A calibration's presses begin without a key.
         begins = name == "start" and step == "prepare" and not self._status.get("paused")
         if begins or name == "calibrate":
-            if reason := refusal(self._readiness.problems(time.monotonic())):
+            if reason := refusal(self._problems(time.monotonic())):
                 raise InputError(reason)
         if name == "curves":
             self._publish_curves()
@@ -391,7 +405,7 @@ class PageNode(ManagedNode):
         """Response of a service; raises DeviceError where its node is not running."""
         client = self._callers[service]
         if not client.service_is_ready():
-            raise DeviceError(f"the {NODES[service.partition('/')[0]]} is not running")
+            raise DeviceError(NOT_RUNNING[service.partition("/")[0]])
         answer: Future[Any] = Future()
 
         def answered(done: Any) -> None:

@@ -54,6 +54,7 @@ from finger_common.trial_phases import TrialPhase
 from finger_msgs.msg import ContactArea, Moisture, SessionStatus, Trial
 from finger_msgs.srv import Record
 
+from .conditions import NAME
 from .limits import Limits
 from .normal_force import NormalForce, normal_axis_setting
 from .protocol import Effect, Protocol, Step
@@ -65,12 +66,12 @@ from .session_store import (
     earlier_sessions,
     free_space,
     further_files,
+    saved_plans,
     sessions_by_subject,
 )
 from .status import GIGABYTE, USUAL_SIZE, closed_status, session_status
 from .status_message import status_fields
 from .study_plan import (
-    NAME,
     PREPARATIONS,
     PlanSettings,
     StudyPlan,
@@ -182,7 +183,7 @@ class ProtocolNode(ManagedNode):
         parse_preparations(settings.preparations)
         self._output = Path(settings.output).expanduser().resolve()
         self.closing.enter_context(lock_folder(self._output, "a protocol node"))
-        self._used_subjects = sessions_by_subject(self._output)
+        self._read_sessions()
         self._free: int | None = None
         self._free_read = -math.inf
         self._reserve = 0
@@ -245,6 +246,12 @@ class ProtocolNode(ManagedNode):
 
     # The session -----------------------------------------------------------------------------
 
+    def _read_sessions(self) -> None:
+        plans = saved_plans(self._output)
+        self._used_subjects = sessions_by_subject(plans)
+        studies = (plan for plan in plans.values() if not plan.is_calibration)
+        self._used_conditions = sorted({name for plan in studies for name in plan.conditions})
+
     def _resume_pointer(self) -> None:
         pointer = self._output / POINTER
         try:
@@ -294,9 +301,12 @@ class ProtocolNode(ManagedNode):
         if self._protocol.step is Step.PREPARE and not self._protocol.paused:
             self._refuse_untared()
             self._protocol.check_clocks()
+        begun = "Session begun. " if self._protocol.step is Step.IDLE else ""
         self._protocol.start(self.sample_time())
-        prepare = self._protocol.step is Step.PREPARE
-        return "prepare finger and plate" if prepare else "the trial begins"
+        return {
+            Step.PREPARE: f"{begun}Prepare the finger and the plate.",
+            Step.FINISHED: "the session is finished",
+        }.get(self._protocol.step, "the trial begins")
 
     def _calibrate(self) -> str:
         if self._protocol is not None and self._protocol.step is Step.FINISHED:
@@ -385,7 +395,7 @@ class ProtocolNode(ManagedNode):
             self.get_logger().error(f"session {protocol.plan.session}{unmarked}")
         (self._output / POINTER).unlink(missing_ok=True)
         self._protocol = None
-        self._used_subjects = sessions_by_subject(self._output)
+        self._read_sessions()
         return f"session {protocol.plan.session} closed; it is in {protocol.folder}{unmarked}"
 
     def _command(self, action: Callable[[], str]) -> Callable[[Any, Any], Any]:
@@ -542,6 +552,7 @@ class ProtocolNode(ManagedNode):
                 self.settings(PlanSettings),
                 parse_preparations(self.values["preparations"]),
                 self._used_subjects,
+                self._used_conditions,
                 self._free,
             )
         if status != self._status:

@@ -9,7 +9,7 @@ value stands on the page for longer than a second. No ROS; times are s on a stea
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from finger_common.diagnostics import ERROR, STARTING, cause_of
@@ -77,7 +77,7 @@ NODE_NAMES = {
 }
 
 ALWAYS = ("protocol", "force")
-"""Devices that no session goes without; the others are those that were seen."""
+"""Devices that no session goes without; the others count where they were seen."""
 
 
 @dataclass(frozen=True)
@@ -97,6 +97,13 @@ class Problem:
 
 
 TARE_NEEDED = Problem("tare", "Tare needed.", "Take the finger off the plate, then press Tare (T).")
+
+NO_PROBE = Problem(
+    "moisture",
+    "No moisture probe runs.",
+    "Start the node moisture, or begin a session with Readings 0.",
+)
+"""Where the node was never seen, in a session that takes readings."""
 
 
 def tared_by(node: str | None, values: Mapping[str, str]) -> bool | None:
@@ -164,14 +171,14 @@ class Readiness:
         """Whether the force has a zero; None while unknown."""
         return None if self._tared is None else self._tared[1]
 
-    def problems(self, now: float) -> list[Problem]:
-        """Everything that is wrong now, the most important first."""
-        found = []
-        for device in DEVICES:
-            problem = self._problem(device, now)
-            if problem is not None:
-                found.append(problem)
-        return found
+    def problems(self, now: float, also: Collection[str] = ()) -> list[Problem]:
+        """Everything that is wrong now, the most important first.
+
+        also: keys of devices that this session does not go without, beside ALWAYS.
+        """
+        needed = {*ALWAYS, *also}
+        problems = [self._problem(device, now, device.key in needed) for device in DEVICES]
+        return [problem for problem in problems if problem is not None]
 
     def _silent(self, stream: str, now: float) -> bool:
         age = self.age(stream, now)
@@ -183,8 +190,8 @@ class Readiness:
         newest = max((report.came for report in reports), default=0.0)
         return [report for report in reports if newest - report.came <= REPORT_ENDS]
 
-    def _problem(self, device: Device, now: float) -> Problem | None:
-        if device.key not in ALWAYS and not self._beats.keys() & set(device.nodes):
+    def _problem(self, device: Device, now: float, needed: bool) -> Problem | None:
+        if not needed and not self._beats.keys() & set(device.nodes):
             return None
         # A driver of another make than the suite's has no heartbeat: its stream is enough.
         flowing = bool(device.stream) and not self._silent(device.stream, now)
@@ -193,6 +200,8 @@ class Readiness:
                 if node in self._starting:
                     return _starts(device.key, node)
                 last = self._beats.get(node)
+                if last is None and device.key == NO_PROBE.source:
+                    return NO_PROBE
                 age = None if last is None else now - last
                 return Problem(
                     device.key, f"The {NODE_NAMES[node]} is not running.", NODE_REMEDY, age

@@ -10,6 +10,7 @@ import json
 import math
 import shutil
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import fmean
@@ -188,15 +189,20 @@ def mark_in_bag(bag: Path, event: TrialEvent) -> None:
     add_message(bag, topic, TOPICS["trial"].type, values, max(event.stamp_ns, after))
 
 
-def sessions_by_subject(output: Path) -> dict[str, list[str]]:
-    """Folders of the sessions in `output`, by subject code; what cannot be read is left out."""
-    found: dict[str, list[str]] = {}
+def saved_plans(output: Path) -> dict[str, StudyPlan]:
+    """Plans of the sessions in `output`, by folder; what cannot be read is left out."""
+    found = {}
     for path in sorted(output.glob(f"*/{STATE_FILE}")):
-        try:
-            subject = load_state(path.parent).plan.subject
-        except InputError:
-            continue
-        found.setdefault(subject, []).append(path.parent.name)
+        with suppress(InputError):
+            found[path.parent.name] = load_state(path.parent).plan
+    return found
+
+
+def sessions_by_subject(plans: Mapping[str, StudyPlan]) -> dict[str, list[str]]:
+    """Folders of the sessions by subject code. plans: by folder."""
+    found: dict[str, list[str]] = {}
+    for folder, plan in plans.items():
+        found.setdefault(plan.subject, []).append(folder)
     return found
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Iterable
 from itertools import pairwise
 from statistics import median, median_low
 from typing import Any
@@ -21,7 +22,7 @@ from finger_common.stamps import seconds
 from .attempt import TrialState
 from .event_log import Event
 from .protocol import Protocol, Step
-from .study_plan import CLEAN_PLATE, CLEAN_PLATE_PULL, PlanSettings
+from .study_plan import CLEAN_PLATE, CLEAN_PLATE_PULL, PlanSettings, preparation_of
 
 EVENTS_SHOWN = 60
 
@@ -38,17 +39,22 @@ def closed_status(
     plan: PlanSettings,
     preparations: dict[str, str],
     used_subjects: dict[str, list[str]],
+    used_conditions: Iterable[str],
     free: int | None,
 ) -> dict[str, Any]:
     """While no session is open. plan: of the next one. used_subjects: sessions by subject code.
 
-    free: bytes left on the disk of the sessions, None when unknown.
+    used_conditions: of earlier sessions, which have a preparation too. free: bytes left on the disk
+    of the sessions, None when unknown.
     """
     return {
         "step": "closed",
         "instruction": "Press Space to start a session.",
         "plan": plan.to_dict(),
-        "preparations": preparations,
+        "preparations": {
+            **preparations,
+            **{c: preparation_of(c, preparations) for c in used_conditions},
+        },
         "used_subjects": used_subjects,
         "disk": {"free_gb": _gigabytes(free)},
     }

@@ -11,7 +11,6 @@ until 1.35 N, then a cue to lift.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -23,6 +22,7 @@ from finger_common.settings import Settings, setting
 from finger_common.subject_code import FINGERS, HANDS, check_subject
 from finger_common.trial_phases import TARGET_FORCE
 
+from .conditions import NAME, conditions_problem
 from .trial_order import ORDERS, trial_conditions
 
 PREPARATIONS: dict[str, str] = {
@@ -43,8 +43,6 @@ CLEAN_PLATE_PULL = (
     "until it changes to Lift."
 )
 """Prompt before each pull."""
-
-NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 REQUIRED = ("subject", "session", "conditions", "trials", "readings", "target_force")
 """What the plan in a state file must name; older files lack the rest."""
@@ -132,15 +130,8 @@ class StudyPlan(PlanSettings):
             raise InputError(
                 f"session '{self.session}' cannot be a folder's name; use letters, digits, - and _"
             )
-        if not self.conditions:
-            raise InputError("no condition is given; name at least one, such as natural")
-        for name in self.conditions:
-            if not isinstance(name, str) or not NAME.fullmatch(name):
-                raise InputError(
-                    f"condition '{name}' is not a valid name; use letters, digits, - and _"
-                )
-        if len(set(self.conditions)) != len(self.conditions):
-            raise InputError("a condition is named twice; give each block once")
+        if problem := conditions_problem(self.conditions):
+            raise InputError(problem)
 
     @property
     def is_calibration(self) -> bool:
@@ -171,13 +162,8 @@ class StudyPlan(PlanSettings):
         return StudyPlan(**values, preparations=self.preparations)
 
     def preparation(self, condition: str) -> str:
-        """Preparation text of a condition; the press of a calibration says itself what is done."""
-        if condition in PRESS_BY_NAME:
-            return PRESS_BY_NAME[condition].text
-        for name in (condition, skin_of(condition)):
-            if name in self.preparations:
-                return self.preparations[name]
-        return "Prepare the finger as in your protocol."
+        """Preparation text of a condition."""
+        return preparation_of(condition, self.preparations)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for the state file."""
@@ -192,6 +178,17 @@ class StudyPlan(PlanSettings):
             return cls(**values, preparations=dict(data["preparations"]))
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"the plan in the state file is incomplete ({error})") from None
+
+
+def preparation_of(condition: str, texts: Mapping[str, str]) -> str:
+    """Preparation text of a condition, by those given; the press of a calibration says itself what
+    is done."""
+    if condition in PRESS_BY_NAME:
+        return PRESS_BY_NAME[condition].text
+    for name in (condition, skin_of(condition)):
+        if name in texts:
+            return texts[name]
+    return "Prepare the finger as in your protocol."
 
 
 def parse_preparations(lines: list[str]) -> dict[str, str]:

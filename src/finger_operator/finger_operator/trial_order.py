@@ -16,6 +16,8 @@ from typing import Any
 
 from finger_common.subject_code import is_subject
 
+from .conditions import conditions_problem
+
 ORDERS = ("as_given", "shuffled_blocks", "counterbalanced", "shuffled_trials")
 
 
@@ -59,9 +61,9 @@ def trial_conditions(
 
 def order_text(given: Mapping[str, Any]) -> str:
     """What `subject`, `conditions`, `order` and `order_seed` come to, for the operator; empty for a
-    subject that is no code yet."""
+    subject that is no code yet, and for conditions that cannot be run."""
     order, subject = given["order"], given["subject"]
-    if not is_subject(subject):
+    if not is_subject(subject) or conditions_problem(given["conditions"]):
         return ""
     if order == "shuffled_trials":
         return "All trials in random order."

@@ -181,6 +181,54 @@ def test_the_order_of_a_session_is_told_before_it_begins(
             assert good and sentence.startswith(f"Blocks: {blocks}")
 
 
+def test_a_condition_that_may_be_misspelt_is_told_before_a_session_begins(
+    ros_domain: int, free_port: Callable[[], int]
+) -> None:
+    async def here(action: Callable[[], Any]) -> Any:
+        return action()
+
+    with page_here(ros_domain, free_port()) as (node, _):
+        node._in_node = here
+        node._status = {"step": "closed", "preparations": {**PREPARATIONS, "greasy": "Oil."}}
+        given = {"conditions": ["natrual", "greasy", "dry"]}
+        assert asyncio.run(node._command("new_conditions", given)) == (
+            True,
+            "'natrual' is a new condition without a preparation text. Write natural if that is "
+            "meant.",
+        )
+
+
+def test_a_session_with_readings_needs_a_probe(
+    ros_domain: int, free_port: Callable[[], int]
+) -> None:
+    from finger_common.errors import DeviceError
+    from finger_msgs.msg import Moisture
+
+    async def here(action: Callable[[], Any]) -> Any:
+        return action()
+
+    with page_here(ros_domain, free_port()) as (node, told):
+        node._in_node = here
+
+        def missing(readings: int) -> bool:
+            node._status = {"step": "prepare", "readings": readings}
+            node._alive()
+            return "No moisture probe runs." in [p["text"] for p in told["alive"]["problems"]]
+
+        assert missing(3) and not missing(0)
+        node._status = {"step": "closed", "plan": {"readings": 3}}
+        node._alive()
+        assert "moisture" not in [p["source"] for p in told["alive"]["problems"]]
+        with pytest.raises(DeviceError, match="start it, or skip this trial and begin a session"):
+            asyncio.run(node._command("moisture", {"value": 44.4}))
+        # A probe of another make has no heartbeat.
+        probe = node.create_publisher(Moisture, "moisture", 1)
+        end = time.monotonic() + 20
+        while missing(3):
+            assert time.monotonic() < end
+        node.destroy_publisher(probe)
+
+
 def test_an_area_that_is_not_known_is_told_with_the_reason(
     ros_domain: int, free_port: Callable[[], int]
 ) -> None:

@@ -370,6 +370,26 @@ def test_the_recorder_s_answer_to_the_stop_decides_with_path_and_count(
         assert attempt.verdict == verdict
 
 
+def test_a_start_says_what_it_did_and_a_condition_is_known_once_a_session_had_it(
+    ros_domain: int, tmp_path: Path
+) -> None:
+    from finger_operator.protocol import Step
+
+    plan = {"conditions": ["greasy"], "trials": 2, "need_recorder": False}
+    with node_here(ros_domain, tmp_path, **plan) as node:
+        node._publish_status()
+        assert "greasy" not in node._status["preparations"]
+        assert node._start() == "Session begun. Prepare the finger and the plate."
+        assert node._start() == "the trial begins"
+        node._protocol.step = Step.FAILED
+        assert node._start() == "Prepare the finger and the plate."
+        node._end()
+        node._close()
+        node._publish_status()
+        known = node._status["preparations"]
+        assert known["greasy"] == "Prepare the finger as in your protocol."
+
+
 def test_no_trial_begins_without_a_tare(ros_domain: int, tmp_path: Path) -> None:
     """In the words of the page, and where the force driver tells that it has no zero."""
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue

@@ -81,6 +81,33 @@ def test_a_node_that_comes_up_for_the_first_time_is_starting_and_not_dead() -> N
     assert rig.texts == ["The model is not running."]
 
 
+def test_a_probe_that_the_session_needs_and_that_was_never_there_is_missed() -> None:
+    rig = Rig()
+    rig.silent = {"moisture"}
+    rig.run(1.0)
+    rig.tare()
+    assert rig.texts == [], "without readings nothing is missing"
+
+    def told() -> list[str]:
+        return [problem.text for problem in rig.board.problems(rig.now, ["moisture"])]
+
+    assert told() == ["No moisture probe runs."]
+    assert refusal(rig.board.problems(rig.now, ["moisture"])) == (
+        "Not ready: No moisture probe runs. Start the node moisture, or begin a session with "
+        "Readings 0."
+    )
+    starts = {STARTING: "moisture"}
+    rig.board.report("bring_up", "finger/bring_up", OK, "active", starts, rig.now)
+    assert told() == ["The moisture driver is starting."]
+    rig.board.report("bring_up", "finger/bring_up", OK, "active", {}, rig.now)
+    rig.silent = set()
+    rig.run(0.2)
+    assert told() == []
+    rig.silent = {"moisture"}
+    rig.run(1.0)
+    assert told() == rig.texts == ["The moisture driver is not running."]
+
+
 def test_silent_streams_and_dead_nodes_show_within_a_second() -> None:
     for silent, text in (
         ({"force"}, "The force driver is not running."),

@@ -12,7 +12,12 @@ from study_rig import SECOND, Rig, on_another_day
 
 from finger_operator.limits import Limits
 from finger_operator.protocol import Protocol
-from finger_operator.session_store import STATE_FILE, earlier_sessions, sessions_by_subject
+from finger_operator.session_store import (
+    STATE_FILE,
+    earlier_sessions,
+    saved_plans,
+    sessions_by_subject,
+)
 from finger_operator.status import session_status
 from finger_operator.study_plan import StudyPlan
 
@@ -99,7 +104,7 @@ def test_subject_codes_that_were_used_are_found_and_warned_of(rig: Rig, tmp_path
     rig.protocol.save()
     (tmp_path / "broken").mkdir()
     (tmp_path / "broken" / STATE_FILE).write_text("{")
-    assert sessions_by_subject(tmp_path) == {"S01": ["session"]}
+    assert sessions_by_subject(saved_plans(tmp_path)) == {"S01": ["session"]}
     told = session_status(rig.protocol, None, ["S01_old"])
     assert "S01 was used before (S01_old)" in told["warnings"][0]
 
@@ -107,7 +112,7 @@ def test_subject_codes_that_were_used_are_found_and_warned_of(rig: Rig, tmp_path
 @pytest.mark.parametrize("code", ["S01", "s01", "S1", "S001"])
 def test_codes_that_may_be_one_person_are_warned_of(rig: Rig, tmp_path: Path, code: str) -> None:
     rig.protocol.save()
-    used = sessions_by_subject(tmp_path)
+    used = sessions_by_subject(saved_plans(tmp_path))
     plan = StudyPlan(code, "another")
     named = "session" if code == "S01" else "session as S01"
     assert earlier_sessions(used, plan) == [named]

@@ -53,5 +53,9 @@ def test_the_status_of_a_session_comes_back_at_every_step(tmp_path: Path) -> Non
 @pytest.mark.parametrize("free", [None, 5_000_000_000])
 def test_the_status_without_a_session_comes_back(free: int | None) -> None:
     plan = PlanSettings(subject="S02", conditions=["dry"], finger_width=0.016)
-    status = closed_status(plan, dict(PREPARATIONS), {"S01": ["S01_a", "S01_b"]}, free)
+    used = {"S01": ["S01_a", "S01_b"]}
+    status = closed_status(plan, dict(PREPARATIONS), used, ["dry", "greasy", "dry_pull"], free)
+    texts = status["preparations"]
+    assert texts["dry_pull"] == texts["dry"] == PREPARATIONS["dry"]
+    assert texts["greasy"] == "Prepare the finger as in your protocol."
     assert through_the_message(status) == json.dumps(status, sort_keys=True)

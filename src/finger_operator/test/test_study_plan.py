@@ -15,6 +15,7 @@ from study_rig import Rig
 
 from finger_common.errors import InputError
 from finger_common.guided_presses import PRESS_BY_NAME
+from finger_operator.conditions import new_conditions
 from finger_operator.protocol import Protocol
 from finger_operator.status import session_status
 from finger_operator.study_plan import PREPARATIONS, StudyPlan, parse_preparations
@@ -63,6 +64,11 @@ def test_preparation_texts_can_be_edited_and_survive(rig: Rig) -> None:
         ({"conditions": ()}, "no condition"),
         ({"conditions": ("dry", "dry")}, "twice"),
         ({"conditions": ("d y",)}, "not a valid name"),
+        ({"conditions": ("dry; natural",)}, "and _, and commas between conditions"),
+        (
+            {"conditions": ("natrual", "Natural", "natural")},
+            "conditions 'Natural' and 'natural' differ in case alone; write one name in one way",
+        ),
         ({"trials": 0}, "trials"),
         ({"readings": -1}, "readings"),
         ({"target_force": 0.0}, "target_force"),
@@ -71,6 +77,28 @@ def test_preparation_texts_can_be_edited_and_survive(rig: Rig) -> None:
 def test_plans_that_cannot_be_run_are_refused(change: dict[str, Any], words: str) -> None:
     with pytest.raises(InputError, match=words):
         StudyPlan(**{"subject": "S01", "session": "a", **change})
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"),
+    [
+        ("natrual", "natural"),
+        ("Natural", "natural"),
+        ("DRY", "dry"),
+        ("natrual_pull", "natural_pull"),
+        ("gresy", "Greasy"),
+        ("cold", ""),
+    ],
+)
+def test_a_new_condition_is_told_with_the_name_that_may_be_meant(name: str, meant: str) -> None:
+    known = [*PREPARATIONS, "Greasy_pull"]
+    sentence = f"'{name}' is a new condition without a preparation text."
+    told = f"{sentence} Write {meant} if that is meant." if meant else sentence
+    assert new_conditions(["dry", name, "moist"], known) == told
+    assert new_conditions([name, name], known) == f"{told} {told}"
+    assert new_conditions([name], [*known, name]) == ""
+    assert new_conditions(["dry", "natural_pull", "Greasy", "no name; at all"], known) == ""
+    assert new_conditions(["Greasy"], [*known, "greasy"]) == "", "both were used before"
 
 
 def test_counterbalanced_orders_put_every_condition_equally_often_at_each_place() -> None:
@@ -101,6 +129,8 @@ def test_the_last_number_of_a_code_counterbalances(code: str) -> None:
     )
     assert order_text({**given, "order": "as_given"}) == "Blocks: a, b, c."
     assert order_text({**given, "order": "as_given", "subject": "Maria"}) == ""
+    for wrong in (["a; b"], ["a", "A"], ["a", "a"]):
+        assert order_text({**given, "order": "as_given", "conditions": wrong}) == "", wrong
 
 
 @pytest.mark.parametrize("order", ORDERS)

@@ -48,6 +48,10 @@ BORDER_WIDEST, BORDER_INSIDE = 0.2, 16
 """Share of the image's width or height that a border may have, and working pixels of the plate
 beside it with which it is compared."""
 
+MARK_NOISE, MARK_GREYS, MARKS_RENEWED = 3.0, 2.0, 8
+"""Steps from pixel to pixel of the learned plate up to so many standard deviations of noise and
+greys are no marks. They are looked for in its first three frames and in every eighth."""
+
 POLARITIES = ("auto", "dark", "bright")
 """Touching ridges are darker or brighter than the plate; "auto" finds out in each frame."""
 
@@ -87,6 +91,8 @@ class LearnedBackground:
         self._mean: np.ndarray | None = None
         self._grey: np.ndarray | None = None
         self._tiles = np.zeros((0, 0), np.float32)
+        self._marks: dict[bool, np.ndarray] = {}
+        """Greys of steep steps (h, w) uint8, by whether ridges are bright."""
 
     @property
     def image(self) -> np.ndarray | None:
@@ -103,6 +109,21 @@ class LearnedBackground:
             raise ValueError("no background yet")
         return self._tiles
 
+    def plate(self, bright_ridges: bool) -> np.ndarray:
+        """`image` (h, w) uint8 with the darkest grey within a pixel in place of steep steps (the
+        brightest, for bright ridges): marks show no ridges when the camera shakes by a pixel."""
+        image = self.image
+        if image is None:
+            raise ValueError("no background yet")
+        if bright_ridges not in self._marks:
+            around = np.ones((3, 3), np.uint8)
+            reached = cv2.dilate(image, around) if bright_ridges else cv2.erode(image, around)
+            least = MARK_GREYS + MARK_NOISE * self.noise
+            steps = cv2.absdiff(image, reached)
+            self._marks[bright_ridges] = cv2.threshold(steps, least, 255, cv2.THRESH_TOZERO)[1]
+        combined = cv2.add if bright_ridges else cv2.subtract
+        return combined(image, self._marks[bright_ridges])
+
     def add(self, frame: np.ndarray) -> None:
         """Add a contact-free frame (h, w) uint8; one of another size replaces all before it."""
         if self._mean is None or self._mean.shape != frame.shape:
@@ -117,6 +138,8 @@ class LearnedBackground:
             self.noise = float(np.median(np.abs(rest - np.median(rest)))) * 1.4826
             cv2.accumulateWeighted(frame, self._mean, 1 / min(self._since_touch, self.memory))
         self._grey = None
+        if self._since_touch <= 3 or self._since_touch % MARKS_RENEWED == 0:
+            self._marks.clear()
 
     def touched(self) -> None:
         """Let all frames until now count as one from now on.
@@ -130,6 +153,7 @@ class LearnedBackground:
         """Forget all frames."""
         self.count, self._since_touch, self.noise = 0, 0, 0.0
         self._mean = self._grey = None
+        self._marks.clear()
 
 
 def background_of(
@@ -150,16 +174,20 @@ def background_of(
         now = gain * max(before, 1.0)
         if now <= OTHER_LIGHT * before + DARK:
             lit = before <= OTHER_LIGHT * now + DARK
-            image = cv2.convertScaleAbs(learned.image, alpha=gain)
             expected = gain * reference
             plate = plate_tiles(deviation)
             added = float(np.median((mean - reference)[plate])) if plate.any() else 0.0
-            if abs(added) > 1 and _light_was_added(frame, learned.image, gain, added):
-                image = cv2.add(learned.image, np.array([added]))
+            more = abs(added) > 1 and _light_was_added(frame, learned.image, gain, added)
+            if more:
                 expected = reference + added
             bright = polarity == "bright"
             if polarity == "auto":
                 bright = _ridges_are_bright(mean - expected, deviation)
+            image = learned.plate(bright)
+            if more:
+                cv2.add(image, np.array([added]), image)
+            else:
+                cv2.convertScaleAbs(image, image, gain)
             if _light_moved(mean, expected, plate):
                 image = _relit(image, frame, bright, envelope)
             return Background(image, bright, True, learned.noise, frame, lit=lit)

@@ -187,18 +187,20 @@ def _area(arguments: Any) -> int:
     calibration = PlateCalibration.given(arguments.calibration, arguments.area_per_pixel)
     sensor = AREA_SENSORS.open(vars(arguments), calibration)
     plate: tuple[Path, tuple[int, ...]] | None = None
+    empty = []
     for path in arguments.background:
-        image = _image(path, plate)
-        plate = path, image.shape
-        _apply(sensor.learn, image, path)
+        empty.append(_image(path, plate))
+        plate = path, empty[-1].shape
+        _apply(sensor.learn, empty[-1], path)
     with _output(arguments.output) as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(COLUMNS)
         for path in arguments.images:
             # Images on a command line need not follow each other in time, or have one size: none
-            # becomes the background of another.
-            if plate is None:
-                sensor.reset()
+            # is followed by another, or becomes its background.
+            sensor.reset()
+            for image in empty:
+                sensor.learn(image)
             measurement = _apply(partial(measured, sensor), _image(path, plate), path)
             writer.writerow(
                 [

@@ -27,6 +27,7 @@ from .area_sensor import AreaSensor, ContactMeasurement, NoLight
 from .background import POLARITIES, LearnedBackground, background_of, tile_means
 from .calibration import PlateCalibration
 from .outline import Shape, closed_outline, convex_corners, shifted, widened
+from .regions import Followed
 from .ridges import Ridges, contrast_of, find_ridges
 from .working_grid import WorkingGrid
 
@@ -57,6 +58,12 @@ ONE_GREY = 0.2
 SHARP_RIM, BLUR = 20e-6, 1.4
 """Width (m) from half of the contrast out to the outermost trace in a sharp picture; and what a
 blurred one's outline is too far out, in widths above that (rendered frames)."""
+
+
+FINE, OUTSIDE, OUTSIDE_SD = 50e-6, 0.5, 0.75
+"""A camera's pixels (m) up to which outlines are as in rendered frames of 31 µm; and pixels by
+which the hull of larger ones lies outside a contact, with the standard deviation: edges along the
+pixels and across them, sharp and faint ones differ."""
 
 
 @dataclass(frozen=True)
@@ -157,6 +164,7 @@ class FtirSegmenter(AreaSensor):
         self._background = LearnedBackground(self.settings.background_frames)
         self._mono8 = Mono8(dark=self.settings.polarity == "bright")
         self._grid: WorkingGrid | None = None
+        self._followed: Followed | None = None
         self._size: tuple[int, int] | None = None
         """(width, height) of the frames since the last reset."""
 
@@ -168,11 +176,12 @@ class FtirSegmenter(AreaSensor):
     def learn(self, signal: np.ndarray) -> None:
         """Add a contact-free frame (H, W) to the background."""
         self._background.add(self._reduced(signal)[0])
+        self._followed = None
 
     def reset(self) -> None:
-        """Forget the background and the size of the frames."""
+        """Forget the background, the finger that is followed and the size of the frames."""
         self._background.clear()
-        self._size = None
+        self._followed = self._size = None
 
     def measure(self, signal: np.ndarray) -> ContactMeasurement:
         """The contact in a frame (H, W); raises InputError for one that cannot be used, NoLight for
@@ -223,7 +232,14 @@ class FtirSegmenter(AreaSensor):
             )
         frame = background.frame
         contrast, noise = contrast_of(background)
-        ridges = find_ridges(contrast, noise, background.learned, settings.minimum_contrast, grid)
+        ridges = find_ridges(
+            contrast,
+            noise,
+            background.learned,
+            settings.minimum_contrast,
+            grid,
+            self._followed,
+        )
         self.steps = Steps(frame, background.image, contrast, ridges)
         flags = AreaFlag(0)
         if not background.learned:
@@ -239,11 +255,15 @@ class FtirSegmenter(AreaSensor):
             flags |= AreaFlag.NO_CONTACT
             if not background.learned and self._is_pale(contrast, noise, grid):
                 flags |= AreaFlag.LOW_CONTRAST
+            else:
+                self._followed = None
             return ContactMeasurement(flags=int(flags)), background.bright_ridges
+        self._followed = ridges.followed
         shape, real_area, hull, doubt = outlined
         if ridges.other_regions:
             flags |= AreaFlag.MULTIPLE_REGIONS
-        if self._is_clipped(hull, grid) or _reaches(ridges, background.border, grid):
+        cut = self._is_clipped(hull, grid) or _reaches(ridges, background.border, grid)
+        if cut or ridges.followed.open:
             flags |= AreaFlag.CLIPPED
         if real_area < 0.2 * shape.area or shape.area < 5e-6:
             flags |= AreaFlag.SPARSE
@@ -276,13 +296,17 @@ class FtirSegmenter(AreaSensor):
         self, ridges: Ridges, grid: WorkingGrid, saturated: float, in_doubt: float
     ) -> tuple[Shape, float, np.ndarray, float] | None:
         """Shape, real area (m²), outline (n, 2) m and the standard deviation of the area (m²) that
-        saturation, blur and doubtful parts add.
+        saturation, blur, coarse pixels and doubtful parts add.
 
         saturated, in_doubt: as of `_saturated_share`. None where nothing is left.
         """
-        hull = convex_corners(ridges.outermost)
+        # The mean width of a square is 4 / π times its side.
+        coarse = max(0.0, 1 - FINE * grid.step / grid.pitch)
+        half = 0.5 - coarse * OUTSIDE * math.pi / 4
+        hull = convex_corners(ridges.outermost, half)
         convex = self.settings.outline == "convex"
-        corners = hull if convex else closed_outline(ridges.outermost, round(1.6 * grid.period))
+        gap = round(1.6 * grid.period)
+        corners = hull if convex else closed_outline(ridges.outermost, gap, half)
         if len(corners) < 3:
             return None
         outline = grid.to_plate(corners, ridges.box)
@@ -299,7 +323,7 @@ class FtirSegmenter(AreaSensor):
         outline = widened(outline, margin) if convex else shifted(outline, margin)
         shape = Shape(outline)
         traced = _pixels_in(hull)
-        touched = _pixels_in(convex_corners(ridges.touching))
+        touched = _pixels_in(convex_corners(ridges.touching, half))
         rim = (traced - touched) * grid.pitch**2 / shape.perimeter
         blurred = BLUR * max(rim - SHARP_RIM, 0.0)
         apart = 0.0
@@ -308,7 +332,8 @@ class FtirSegmenter(AreaSensor):
             least = convex_corners(cv2.subtract(ridges.outermost, ridges.doubtful))
             apart = (_pixels_in(most) - _pixels_in(least)) * grid.pitch**2
         hidden = in_doubt * extra * furrow
-        doubt = math.hypot(hidden * shape.perimeter, blurred * shape.perimeter, apart)
+        rough = coarse * OUTSIDE_SD * grid.pitch
+        doubt = math.hypot(*(x * shape.perimeter for x in (hidden, blurred, rough)), apart)
         return shape, real_area, outline, doubt
 
     def _is_pale(self, contrast: np.ndarray, noise: float, grid: WorkingGrid) -> bool:

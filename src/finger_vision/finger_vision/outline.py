@@ -11,27 +11,29 @@ import cv2
 import numpy as np
 
 
-def convex_corners(mask: np.ndarray) -> np.ndarray:
+def convex_corners(mask: np.ndarray, half: float = 0.5) -> np.ndarray:
     """(n, 2) corners of the convex hull of a mask's pixels; (0, 2) for an empty mask.
 
-    Pixels count as squares: their centres would leave out half a pixel all round.
+    Pixels count as squares with sides of twice `half`: their centres would leave out half a pixel
+    all round.
     """
     rows = np.flatnonzero(mask.any(axis=1))
     if len(rows) == 0:
         return np.zeros((0, 2))
     found = mask[rows] > 0
-    left = found.argmax(axis=1) - 0.5
-    right = found.shape[1] - found[:, ::-1].argmax(axis=1) - 0.5
+    left = found.argmax(axis=1) - half
+    right = found.shape[1] - 1 - found[:, ::-1].argmax(axis=1) + half
     corners = np.concatenate(
-        [np.column_stack([x, rows + side]) for x in (left, right) for side in (-0.5, 0.5)]
+        [np.column_stack([x, rows + side]) for x in (left, right) for side in (-half, half)]
     )
     return cv2.convexHull(corners.astype(np.float32)).reshape(-1, 2).astype(float)
 
 
-def closed_outline(mask: np.ndarray, gap: int) -> np.ndarray:
+def closed_outline(mask: np.ndarray, gap: int, half: float = 0.5) -> np.ndarray:
     """(n, 2) outer contour of a mask whose gaps up to `gap` pixels are closed; (0, 2) for none.
 
-    Parts further apart are joined by a line, so that the contour bounds all of them.
+    It lies `half` a pixel outside the centres of the outermost ones. Parts further apart are joined
+    by a line, so that the contour bounds all of them.
     """
     size = gap | 1
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
@@ -49,7 +51,7 @@ def closed_outline(mask: np.ndarray, gap: int) -> np.ndarray:
         cv2.line(closed, ends[end].tolist(), starts[start].tolist(), 255)
         joined = np.concatenate([joined, part])
     contour = _contours(closed)[0].astype(float) - size
-    return shifted(contour, 0.5) if len(contour) > 8 else np.zeros((0, 2))
+    return shifted(contour, half) if len(contour) > 8 else np.zeros((0, 2))
 
 
 def _contours(mask: np.ndarray) -> list[np.ndarray]:

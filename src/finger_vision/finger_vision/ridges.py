@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from .background import Background
+from .regions import SPECK, Followed, follow
 from .working_grid import Box, WorkingGrid
 
 STRONG_SHARE = 0.25
@@ -67,7 +68,8 @@ class Ridges:
     touching: down to half of the local contrast. outermost: down to the outermost trace. region:
     what belongs to the finger. other_regions: whether other regions were left out. doubtful: the
     outermost trace in those so near that they may be the same finger's, and in parts of the region
-    that may be a hair; None without any. contrast: mean of the touching ones, 0…255.
+    that may be a hair; None without any. contrast: mean of the touching ones, 0…255. followed: what
+    the next frame needs to follow the finger.
     """
 
     box: Box
@@ -77,6 +79,7 @@ class Ridges:
     other_regions: bool
     doubtful: np.ndarray | None
     contrast: float
+    followed: Followed
 
 
 def contrast_of(background: Background) -> tuple[np.ndarray, float]:
@@ -92,12 +95,18 @@ def contrast_of(background: Background) -> tuple[np.ndarray, float]:
 
 
 def find_ridges(
-    contrast: np.ndarray, noise: float, learned: bool, minimum_contrast: float, grid: WorkingGrid
+    contrast: np.ndarray,
+    noise: float,
+    learned: bool,
+    minimum_contrast: float,
+    grid: WorkingGrid,
+    past: Followed | None = None,
 ) -> Ridges | None:
     """Ridges of the pressing finger in a contrast image (h, w) uint8; None without contact.
 
     noise: standard deviation of the contrast. learned: whether the background was learned.
-    minimum_contrast: fraction of the grey range.
+    minimum_contrast: fraction of the grey range. past: `followed` of the frame before, None after
+    one without contact.
     """
     # Certain skin, at a quarter of the working resolution, selects the part to examine further.
     columns, rows = contrast.shape[1] // 2, contrast.shape[0] // 2
@@ -122,16 +131,17 @@ def find_ridges(
         above_noise = SMOOTHED_NOISE * noise
     faint = max(FAINT_CONTRAST * 255, share * typical, above_noise)
     touching, outermost = _threshold(part, faint, grid)
-    region, other_regions, near = _region(core[_quarter(box)], touching, grid)
-    if region is None:
+    found = _region(core, box, touching, grid, past)
+    if found is None:
         return None
+    region, other_regions, near, followed = found
     doubtful = None if near is None else outermost & near
     touching &= region
     outermost &= region
     mean = cv2.mean(contrast[box], touching)[0]
     if not learned and mean < floor:
         return None
-    return Ridges(box, touching, outermost, region, other_regions, doubtful, mean)
+    return Ridges(box, touching, outermost, region, other_regions, doubtful, mean, followed)
 
 
 def _above(image: np.ndarray, limit: float) -> np.ndarray:
@@ -202,25 +212,26 @@ def _threshold(
 
 
 def _region(
-    core: np.ndarray, ridges: np.ndarray, grid: WorkingGrid
-) -> tuple[np.ndarray | None, bool, np.ndarray | None]:
-    """Mask of the pressing finger's region in the box, whether other regions were left out, and a
-    mask of what is in doubt: those within 2.5 ridge periods of it, and narrow parts of it.
+    core: np.ndarray, box: Box, ridges: np.ndarray, grid: WorkingGrid, past: Followed | None
+) -> tuple[np.ndarray, bool, np.ndarray | None, Followed] | None:
+    """Mask of the pressing finger's region in the box, whether other regions were left out, a mask
+    of what is in doubt (those within 2.5 ridge periods of it, and narrow parts of it), and what the
+    next frame needs; None without a region.
 
-    Regions are connected by the density of ridges; the one with most certain skin is the pressing
-    finger's.
+    Regions are connected by the density of ridges; `follow` tells which is the pressing finger's.
     """
-    certain = _above(core, DENSITY * 255)
+    part = _quarter(box)
+    certain = _above(core[part], DENSITY * 255)
     size = round(REACH / (2 * grid.pitch)) | 1
     near = cv2.dilate(certain, np.ones((size, size), np.uint8))
     dense = cv2.bitwise_and(_above(_density(ridges, 4, grid), DENSITY * 255), near)
     count, labels = cv2.connectedComponents(dense, connectivity=8)
     weight = np.bincount(labels[certain > 0], minlength=count)
     weight[0] = 0
-    best = int(np.argmax(weight))
-    if weight[best] == 0:
-        return None, False, None
-    others = weight > max(0.05 * weight[best], OTHER_REGION / (4 * grid.pitch) ** 2)
+    if not weight.any():
+        return None
+    best, followed = follow(labels, weight, part, core.shape, past)
+    others = weight > max(SPECK * weight[best], OTHER_REGION / (4 * grid.pitch) ** 2)
     others[best] = False
     main = _mask(labels == best)
     # A hair across the rim is no wider than the density of a line, and certain all along; a narrow
@@ -242,7 +253,7 @@ def _region(
         beside[np.unique(labels[around > 0])] = True
         doubtful |= _mask((others & beside)[labels])
     shown = _enlarged(doubtful, ridges) if doubtful.any() else None
-    return _enlarged(main, ridges), bool(others.any()), shown
+    return _enlarged(main, ridges), bool(others.any()), shown, followed
 
 
 def _mask(inside: np.ndarray) -> np.ndarray:

@@ -15,12 +15,14 @@ import pytest
 
 from finger_common.errors import InputError
 from finger_common.flags import AreaFlag
-from finger_sim.ftir import AREA_PER_PIXEL, SKINS, Contact, FtirRenderer, Scene
+from finger_sim.ftir import AREA_PER_PIXEL, SKINS, Contact, FtirRenderer, RenderedFrame, Scene
 from finger_vision.area_sensor import NoLight
 from finger_vision.calibration import PlateCalibration
-from finger_vision.ftir import FtirSegmenter, FtirSettings
+from finger_vision.ftir import OUTSIDE, FtirSegmenter, FtirSettings
 from finger_vision.messages import contact_area_fields
+from finger_vision.outline import convex_corners
 from finger_vision.overlay import draw_overlay, scale_bar
+from finger_vision.ridges import RIM_LEVEL
 
 
 def random_scene(rng: np.random.Generator) -> Scene:
@@ -755,3 +757,121 @@ def test_a_print_that_runs_under_a_dark_border_is_flagged_as_clipped() -> None:
     found = segmenter.measure(cut)
     assert found.flags & AreaFlag.CLIPPED
     assert 0.35 * frame.gross_area < found.gross_area < 0.65 * frame.gross_area
+
+
+def test_the_hull_of_pixels_lies_half_a_pixel_outside() -> None:
+    """Ellipses of 10 to 72 pixels radius; a pixel counts from 0.35 of it on."""
+    rng, fine = np.random.default_rng(0), 12
+    outside = {}
+    for radius in (10, 24, 72):
+        found = []
+        for _ in range(12):
+            major = radius * math.sqrt(rng.uniform(1, 1.8))
+            axes = major, radius**2 / major
+            size = int(2.8 * radius) + 6
+            x, y = (np.arange(size * fine) + 0.5) / fine - size / 2 + rng.uniform(-0.5, 0.5, (2, 1))
+            turn = rng.uniform(0, math.pi)
+            u = x * math.cos(turn) + y[:, None] * math.sin(turn)
+            v = y[:, None] * math.cos(turn) - x * math.sin(turn)
+            inside = ((u / axes[0]) ** 2 + (v / axes[1]) ** 2 < 1).astype(np.float32)
+            pixels = cv2.resize(inside, (size, size), interpolation=cv2.INTER_AREA)
+            hull = convex_corners((pixels > RIM_LEVEL).astype(np.uint8)).astype(np.float32)
+            beyond = cv2.contourArea(hull) - math.pi * radius**2
+            found.append(beyond / cv2.arcLength(hull, True))
+        outside[radius] = float(np.mean(found))
+    print(outside)
+    assert all(abs(by - OUTSIDE) < 0.15 for by in outside.values())
+
+
+@pytest.fixture(scope="module")
+def whole_frames() -> list[tuple[FtirRenderer, list[np.ndarray], RenderedFrame]]:
+    """Renderer, frames without contact, and a frame of 20 to 200 mm²."""
+    rows = []
+    for index in range(24):
+        rng = np.random.default_rng([76, index])
+        scene = dataclasses.replace(random_scene(rng), tilt=0.0, latent=0.0, dust=5)
+        renderer = FtirRenderer(list(SKINS)[index % 3], index, scene)
+        frame = renderer.render_frame([random_contact(rng, 20.0, 200.0)])
+        assert not frame.clipped
+        rows.append((renderer, [renderer.empty() for _ in range(2)], frame))
+    return rows
+
+
+@pytest.mark.parametrize("times", [2, 3, 4, 6])
+def test_coarse_pixels_do_not_widen_the_area(whole_frames, times: int) -> None:
+    """Pixels of 63 to 188 µm: 16 to 5.3 a mm."""
+    size = 1280 // times, 1024 // times
+
+    def coarse(image: np.ndarray) -> np.ndarray:
+        cut = image[: size[1] * times, : size[0] * times]
+        return cv2.resize(cut, size, interpolation=cv2.INTER_AREA)
+
+    for learned in (True, False):
+        error, score = [], []
+        for _, empties, frame in whole_frames:
+            calibration = PlateCalibration.from_area_per_pixel(times**2 * AREA_PER_PIXEL)
+            segmenter = FtirSegmenter(calibration=calibration)
+            for empty in empties if learned else []:
+                segmenter.learn(coarse(empty))
+            seen = segmenter.measure(coarse(frame.image))
+            error.append(seen.gross_area / frame.gross_area - 1)
+            score.append((seen.gross_area - frame.gross_area) / seen.area_sd)
+        held = np.mean(np.abs(score) <= 2)
+        print(f"{times}, learned {learned}: median {np.median(error):+.4f}, within 2 SD {held:.2f}")
+        assert abs(np.median(error)) < 0.015
+        assert held >= 0.9
+
+
+def seen_through(
+    marks: np.ndarray,
+    image: np.ndarray,
+    bright: bool,
+    times: int,
+    shaken: np.random.Generator | None = None,
+) -> np.ndarray:
+    """An image (1024, 1280) with marks on the plate, shaken by up to a pixel of `times` its own."""
+    grey = image.astype(np.float32)
+    marked = grey + marks * ((255.0 if bright else 0.0) - grey)
+    x, y = (0.0, 0.0) if shaken is None else shaken.uniform(-times, times, 2)
+    move = np.array([[1.0, 0.0, x], [0.0, 1.0, y]])
+    moved = cv2.warpAffine(marked, move, (1280, 1024), borderMode=cv2.BORDER_REPLICATE)
+    coarse = cv2.resize(moved, (1280 // times, 1024 // times), interpolation=cv2.INTER_AREA)
+    return np.rint(coarse).astype(np.uint8)
+
+
+@pytest.mark.parametrize("times", [1, 2])
+@pytest.mark.parametrize("bright", [False, True])
+def test_a_shaking_camera_makes_no_ridges_of_scratches_and_dust(bright: bool, times: int) -> None:
+    """Marks of the learned plate, while the camera shakes by up to a pixel of 31 or 63 µm."""
+    error = []
+    for seed in range(5):
+        rng = np.random.default_rng([75, seed])
+        scene = Scene(background=40.0 if bright else 180.0, bright_ridges=bright, latent=0.0)
+        renderer = FtirRenderer("natural", seed, scene)
+        marks = np.zeros((1024, 1280), np.float32)
+        for _ in range(5):
+            ends = [tuple(map(int, rng.uniform((0, 0), (1280, 1024)))) for _ in range(2)]
+            share, wide = float(rng.uniform(0.4, 0.8)), int(rng.integers(1, 4))
+            cv2.line(marks, *ends, share, wide, cv2.LINE_AA)
+        for _ in range(25):
+            spot = tuple(map(int, rng.uniform((0, 0), (1280, 1024))))
+            share = float(rng.uniform(0.3, 0.8))
+            cv2.circle(marks, spot, int(rng.integers(1, 9)), share, -1, cv2.LINE_AA)
+
+        calibration = PlateCalibration.from_area_per_pixel(times**2 * AREA_PER_PIXEL)
+        segmenter = FtirSegmenter(calibration=calibration)
+        for _ in range(4):
+            segmenter.learn(seen_through(marks, renderer.empty(), bright, times))
+        for _ in range(3):
+            assert (
+                segmenter.measure(
+                    seen_through(marks, renderer.empty(), bright, times, rng)
+                ).gross_area
+                == 0.0
+            )
+        for radius in (3e-3, 4.5e-3):
+            frame = renderer.render_frame([Contact(radius, aspect=1.3)])
+            seen = segmenter.measure(seen_through(marks, frame.image, bright, times, rng))
+            error.append(seen.gross_area / frame.gross_area - 1)
+    print(f"median {np.median(error):+.3f}, largest {np.abs(error).max():.3f}")
+    assert np.abs(error).max() < 0.07

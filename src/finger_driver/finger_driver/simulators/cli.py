@@ -28,8 +28,8 @@ EXAMPLE = """
 finger-device-sim netcanoem --interface udp_multicast --options port=43210 --press 1.35
 finger-device-sim serial --link run/moisture --values 42,43,41 --period 5
 finger-device-sim images run/frames --size 1280x1024 --rate 10
-While it runs, a line `silent -1` on standard input switches a fault on, `silent 0` off, `clear` all
-off, `faults` lists them.
+While it runs, a line 'silent -1' on standard input switches a fault on, 'silent 0' off, 'clear' all
+off, 'faults' lists them.
 """
 
 
@@ -107,7 +107,11 @@ def _command(words: list[str], simulator: Simulator) -> None:
 
 def build_parser(simulators: dict[str, type[Simulator]]) -> Parser:
     """The command's arguments."""
-    parser = Parser(prog="finger-device-sim", description=__doc__, example=EXAMPLE)
+    parser = Parser(
+        prog="finger-device-sim",
+        description="Run one simulated device. DEVICE is one of the installed simulators:",
+        example=EXAMPLE,
+    )
     commands = parser.add_subparsers(dest="device", required=True, metavar="DEVICE")
     for name, simulator in sorted(simulators.items()):
         title = title_of(simulator)

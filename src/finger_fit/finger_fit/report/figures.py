@@ -575,7 +575,8 @@ def indentation_figure(report: FitResult) -> Figure | None:
 
 
 def convergence_figure(report: FitResult) -> Figure:
-    """Best J over the rounds of the search, relative to J after the polish."""
+    """Best J over the rounds of the search, relative to J after the polish, or without one to the
+    best."""
     figure, axes = _subplots(figsize=(0.6 * COLUMN, 2.3))
     for name, fit in report.fits.items():
         colour = colour_of(report, name)
@@ -589,10 +590,14 @@ def convergence_figure(report: FitResult) -> Figure:
         )  # fmt: skip
     axes.axhline(1.0, color="0.3", lw=0.7, ls=(0, (4, 2)))
     axes.set_xlabel("PSO round")
-    axes.set_ylabel("best $J$ over polished $J$")
+    axes.set_ylabel(f"best $J$ over {'polished' if _polished(report) else 'last'} $J$")
     axes.set_xlim(0, None)
     legend_below(figure, axes)
     return figure
+
+
+def _polished(report: FitResult) -> bool:
+    return any(fit.polish is not None for fit in report.fits.values())
 
 
 CAPTIONS = {
@@ -604,10 +609,9 @@ CAPTIONS = {
     "force_over_time": "Normal force of all trials as recorded, aligned at first touch; the dot is "
     "the last frame that counts.",
     "example_trial": "The trial of median cost: (a) force and area over time, measured against "
-    "model and power law; (b) the full-order finger at its last frame, drawn from the deformed "
-    "mesh; the dashed line is the pad at rest.",
-    "candidates": "Best parameters (filled), the other top candidates (open) and the 95 % interval "
-    "by profile likelihood (band; dotted ends extend to the bound). Grey lines: the search box.",
+    "model and power law.",
+    "candidates": "Best parameters (filled) and the other top candidates (open). Grey lines: the "
+    "search box.",
     "matched_trials": "One trial per condition, of about the same duration: force (left), and area "
     "with the fitted model (right).",
     "profiles": "Profile likelihoods: rise of J above its minimum along each quantity, in units of "
@@ -617,10 +621,33 @@ CAPTIONS = {
     "and the distribution of the model's residuals.",
     "indentation": "Measured indentation, less the zero that was fitted in each trial, over normal "
     "force: (a) beside the model, (b) their difference.",
-    "convergence": "Best J over the rounds of the particle swarm, relative to the J after the "
-    "bounded local polish (dashed); both by the reduced model. The legend gives the last value.",
+    "convergence": "Best J over the rounds of the particle swarm, relative to the dashed line. The "
+    "legend gives the last value.",
 }
-"""Caption of each figure."""
+"""Caption of each figure, without what only some fits have."""
+
+
+def captions_of(report: FitResult) -> dict[str, str]:
+    """Caption of each figure of a fit: it names what was computed."""
+    found = dict(CAPTIONS)
+    if report.deformed is not None:
+        found["example_trial"] += (
+            " (b) The full-order finger at its last frame, drawn from the deformed mesh; the "
+            "dashed line is the pad at rest."
+        )
+    if any(fit.profiles for fit in report.fits.values()):
+        found["candidates"] += (
+            " Band: 95 % interval by profile likelihood; dotted ends extend to the bound."
+        )
+    found["convergence"] += (
+        " Dashed: J after the bounded local polish, before any correction to full order."
+        if _polished(report)
+        else " Dashed: J of the best round."
+    )
+    derived = report.space.derived.values()
+    found["candidates"] += "".join(f" {q.symbol}: {q.meaning}" for q in derived)
+    return found
+
 
 FIGURES: dict[str, Callable[[FitResult], Figure | None]] = {
     "moisture": moisture_figure,

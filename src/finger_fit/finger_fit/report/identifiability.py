@@ -78,7 +78,8 @@ def covariances(result: FitResult) -> str:
             for j in range(len(space)):
                 scale = deviation[i] * deviation[j]
                 text = f"{matrix[i, j] / scale:.2f}" if j < i and scale > 0 else ""
-                cells.append(f"{100 * deviation[i]:.1f} %" if i == j else minus(text))
+                known = f"{100 * deviation[i]:.1f} %" if deviation[i] > 0 else "–"
+                cells.append(known if i == j else minus(text))
             rows.append([escape(condition) if not i else "", space[name].html, *cells])
     header = ["condition", "", *(space[n].html for n in space.names)]
     return table(header, rows, (1,)) + (

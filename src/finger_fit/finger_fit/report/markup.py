@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from finger_model.laws import ParameterSpace
 
-from ..report_units import MM4, minus, three_digits
+from ..report_units import MM4, interval_text, minus, three_digits
 
 LONG_TABLE = 12
 """Rows beyond which a table may go on on the next page of a print."""
@@ -56,6 +56,11 @@ def area_cost(cost: float) -> str:
     return minus(three_digits(cost * MM4))
 
 
-def span(space: ParameterSpace, name: str, ends: tuple[float, float]) -> str:
-    """Both ends (SI) of an interval in the quantity's display unit."""
-    return " – ".join(show(space, name, end) for end in ends)
+def span(
+    space: ParameterSpace,
+    name: str,
+    ends: tuple[float, float],
+    cut: Sequence[bool] = (False, False),
+) -> str:
+    """Both ends (SI) of an interval in the quantity's display unit, marked where `cut`."""
+    return interval_text((show(space, name, end) for end in ends), cut, " – ")

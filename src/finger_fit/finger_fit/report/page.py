@@ -19,7 +19,7 @@ from finger_common.files import atomic_write
 
 from ..results import FitResult
 from . import candidates, data, goodness, identifiability, parameters, provenance
-from .figures import CAPTIONS, FIGURES, STYLE, all_figures
+from .figures import FIGURES, STYLE, all_figures, captions_of
 from .nuisances import nuisances
 
 NARROW = ("moisture", "convergence")
@@ -110,7 +110,7 @@ def render_subjects(result: FitResult) -> str:
 
 def render(result: FitResult, pictures: dict[str, bytes]) -> str:
     """The page's HTML."""
-    captions = CAPTIONS | {"candidates": CAPTIONS["candidates"] + _meanings(result)}
+    captions = captions_of(result)
     numbers = itertools.count(1)
 
     def figure(name: str) -> str:
@@ -166,11 +166,6 @@ def render(result: FitResult, pictures: dict[str, bytes]) -> str:
         provenance.provenance(result),
     ]
     return "\n".join(part for part in parts if part) + "\n</main></html>\n"
-
-
-def _meanings(result: FitResult) -> str:
-    """The derived quantities as text."""
-    return "".join(f" {q.symbol}: {q.meaning}" for q in result.space.derived.values())
 
 
 def _lead(result: FitResult) -> str:

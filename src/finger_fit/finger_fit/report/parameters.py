@@ -52,9 +52,9 @@ def parameters(result: FitResult) -> str:
             cells = [_corrected(space, name, found) for name, found in quantities.items()]
             rows.append(["<i class=corrected>bias-corrected</i>", "", *cells, "", "", ""])
     note = (
-        "Estimates with 95 % intervals by profile likelihood. <sup>†</sup> The estimate lies on a "
-        "bound of the search box. ≤: the interval extends to the bound. <i>J</i>: cost of the fit; "
-        "Δ<i>J</i>: cost of the power law less that of the model; above 0, the model fits better."
+        f"Estimates{_intervals(result)}. <sup>†</sup> The estimate lies on a bound of the search "
+        "box. <i>J</i>: cost of the fit; Δ<i>J</i>: cost of the power law less that of the model; "
+        "above 0, the model fits better."
     )
     if any(_has_assumed(fit) for fit in result.fits.values()):
         note += (
@@ -77,12 +77,27 @@ def parameters(result: FitResult) -> str:
 def _interval(space: ParameterSpace, name: str, found: QuantityResult) -> str:
     if math.isnan(found.interval[0]):
         return ""
-    if found.identifiable is None:
-        return f"<small>{span(space, name, found.interval)}</small>"
-    if not found.identifiable:
+    if found.identifiable is False:
         return "<small>not identifiable</small>"
-    before, after = "≤ " * found.low_is_bound, " ≤" * found.high_is_bound
-    return f"<small>{before}{span(space, name, found.interval)}{after}</small>"
+    return f"<small>{span(space, name, found.interval, found.cut)}</small>"
+
+
+def _intervals(result: FitResult) -> str:
+    """How the intervals were found, and what the mark at their ends means."""
+    names = result.space.quantity_names
+    found = [fit.found(name) for fit in result.fits.values() for name in names]
+    profiled = [q.identifiable is not None for q in found if not math.isnan(q.interval[0])]
+    if not profiled:
+        return ""
+    if all(profiled):
+        return " with 95 % intervals by profile likelihood; ≤: the interval extends to the bound"
+    source = "from the covariance (no profiles were computed)"
+    if any(profiled):
+        source = "by profile likelihood and, where there is no profile, from the covariance"
+    return (
+        f" with 95 % intervals {source}, cut off at the search box: where ≤ stands, the true "
+        "interval may be wider"
+    )
 
 
 def _has_assumed(fit: ConditionFit) -> bool:
@@ -95,7 +110,8 @@ def _from_data(space: ParameterSpace, name: str, found: QuantityResult) -> str:
     if math.isnan(found.data_interval[0]) or found.identifiable is False:
         return "<i>–</i>"
     assumed = f"assumed: ± {100.0 * found.assumed_sd:.0f} %"
-    return f"<i>{span(space, name, found.data_interval)}</i><small>{assumed}</small>"
+    ends = span(space, name, found.data_interval, found.data_cut)
+    return f"<i>{ends}</i><small>{assumed}</small>"
 
 
 def _corrected(space: ParameterSpace, name: str, found: QuantityResult) -> str:
@@ -105,7 +121,7 @@ def _corrected(space: ParameterSpace, name: str, found: QuantityResult) -> str:
     value = f"<i class=corrected>{show(space, name, found.bias.value)}</i>"
     if found.identifiable is None:
         return value
-    return f"{value}<small>{span(space, name, found.corrected_interval)}</small>"
+    return f"{value}<small>{span(space, name, found.corrected_interval, found.cut)}</small>"
 
 
 def verdict(result: FitResult) -> str:
@@ -213,6 +229,5 @@ def subjects(result: FitResult) -> str:
                 ]
             )
     return table(header, rows, (1,)) + (
-        "<p class=lead>Each subject is fitted alone; estimates with 95 % intervals by profile "
-        "likelihood.</p>"
+        f"<p class=lead>Each subject is fitted alone; estimates{_intervals(result)}.</p>"
     )

@@ -174,8 +174,8 @@ def _intervals(fit: ConditionFit, quantities: dict[str, QuantityResult]) -> dict
         out["interval_95"] = {
             name: {
                 **_ends(q.interval),
-                "low_is_bound": q.low_is_bound,
-                "high_is_bound": q.high_is_bound,
+                "low_is_bound": q.cut[0],
+                "high_is_bound": q.cut[1],
                 "identifiable": q.identifiable,
             }
             for name, q in quantities.items()

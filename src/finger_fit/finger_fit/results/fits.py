@@ -67,10 +67,10 @@ class QuantityResult:
     """What a fit found of one parameter or derived quantity (SI; deviations: of its logarithm).
 
     interval: 95 % with all that is unknown, inside the search box: by the profile, without one by
-    the covariance, else by the bootstrap; low_is_bound, high_is_bound: its end is the box's.
-    data_interval: from the data alone, as if the lengths of the finger and the gain of all areas
-    were those of this fit; by the profile, without one of the logarithm, symmetric, with Student's
-    t for one degree of freedom less than trials. bootstrap: 95 % percentiles. identifiable: None
+    the covariance. data_interval: from the data alone, as if the lengths of the finger and the gain
+    of all areas were those of this fit; by the profile, without one of the logarithm, symmetric,
+    with Student's t for one degree of freedom less than trials. cut, data_cut: whether their low
+    and their high end is that of the box. bootstrap: 95 % percentiles. identifiable: None
     without a profile. sd, data_sd: with all that is unknown, and from the data alone; assumed_sd:
     what the assumed lengths and the gain of all areas add (as squares); assumed: change of the
     logarithm by one prior deviation of each. bias: None without bias pairs; corrected_interval: of
@@ -80,9 +80,9 @@ class QuantityResult:
 
     value: float
     interval: tuple[float, float]
-    low_is_bound: bool
-    high_is_bound: bool
+    cut: tuple[bool, bool]
     data_interval: tuple[float, float]
+    data_cut: tuple[bool, bool]
     bootstrap: tuple[float, float]
     identifiable: bool | None
     sd: float
@@ -168,27 +168,26 @@ class ConditionFit:
         """Collect what the fit says of a parameter or derived quantity."""
         known, profile = self.covariance, self.profiles.get(name)
         bias = self.bias_corrected.get(name)
-        bootstrap = data_interval = NO_INTERVAL
+        bootstrap = interval = data_interval = NO_INTERVAL
         if self.samples is not None and len(self.samples):
             low, high = np.quantile(self.space.quantity(name, self.samples), [0.025, 0.975])
             bootstrap = float(low), float(high)
-        interval = bootstrap
         data_sd = assumed_sd = math.nan
         if known is not None:
             data_sd, assumed_sd = known.data_deviation(name), known.assumed_deviation(name)
             reach = float(stdtrit(max(len(self.problem) - 1, 1), 0.975)) * data_sd
             data_interval = self._around(name, reach)
             interval = self._around(name, float(np.hypot(reach, NORMAL_95 * assumed_sd)))
-        first, last = self.space.quantity_bounds(name, self.problem.box)
-        bounds = bool(interval[0] <= first), bool(interval[1] >= last)
+        cut = self._cut(name, interval)
         if profile is not None:
             interval, data_interval = profile.interval, profile.data_interval
-            bounds = profile.open_low, profile.open_high
+            cut = profile.open_low, profile.open_high
         return QuantityResult(
             self.quantity(name),
             interval,
-            *bounds,
+            cut,
             data_interval,
+            self._cut(name, data_interval),
             bootstrap,
             None if profile is None else profile.identifiable,
             float(np.hypot(data_sd, assumed_sd)),
@@ -204,6 +203,12 @@ class ConditionFit:
         offset = self.space.log_offset(name)
         ends = (self.quantity(name) + offset) * np.exp(np.array([-reach, reach])) - offset
         return float(max(ends[0], low)), float(min(ends[1], high))
+
+    def _cut(self, name: str, ends: tuple[float, float]) -> tuple[bool, bool]:
+        """Whether the low and the high end of an interval is that of the search box."""
+        low, high = self.space.quantity_bounds(name, self.problem.box)
+        rounding = 1e-9 * (high - low)
+        return bool(ends[0] <= low + rounding), bool(ends[1] >= high - rounding)
 
     def covariance_log(self, assumed: bool = True) -> np.ndarray:
         """Covariance (N, N) of the coordinates: of the bootstrap if there is one, else of J.

@@ -59,6 +59,7 @@ def fit_records(
 
     options.pool fits all subjects as one. Raises InputError when nothing can be fitted.
     """
+    _check_spelling(records)
     if not options.pool:
         _check_fingers(records)
     screened = screen(records, options.indentation_sd > 0)
@@ -84,7 +85,7 @@ def fit_records(
     subjects: dict[str, list[FitTrial]] = {}
     for trial in trials:
         subjects.setdefault(trial.subject, []).append(trial)
-    notes += _check_codes(subjects)
+    _check_codes(subjects)
     with engine_for(options.dask) as engine:
         work = _Work(model, options, conditions, engine, folder, report)
         if len(subjects) == 1 or options.pool:
@@ -131,7 +132,7 @@ def _check_fingers(records: Sequence[Any]) -> None:
     fingers: dict[str, dict[str, list[Path]]] = {}
     for record in records:
         fingers.setdefault(record.subject or "", {}).setdefault(finger_of(record), []).append(
-            Path(*Path(record.bag).parts[-2:])
+            _bag_of(record)
         )
     for code, bags in fingers.items():
         if not may_be_one(*bags):
@@ -143,24 +144,33 @@ def _check_fingers(records: Sequence[Any]) -> None:
             )
 
 
-def _check_codes(subjects: Iterable[str]) -> list[str]:
-    """Notes on codes of subjects that may be meant as one; raises InputError for one that cannot
-    name a folder."""
-    spelled: dict[str, str] = {}
-    notes = []
+def _bag_of(record: Any) -> Path:
+    """Bag of a trial, short enough for a message."""
+    return Path(*Path(record.bag).parts[-2:])
+
+
+def _check_spelling(records: Sequence[Any]) -> None:
+    """Raise InputError for subjects or conditions whose names differ in case alone."""
+    for kind in ("subject", "condition"):
+        spelled: dict[str, Any] = {}
+        for record in records:
+            name = getattr(record, kind) or ""
+            first = spelled.setdefault(name.casefold(), record)
+            if name != (other := getattr(first, kind) or ""):
+                raise InputError(
+                    f"{kind}s '{other}' in {_bag_of(first)} and '{name}' in {_bag_of(record)} "
+                    "differ in case alone; write one name in one way, or fit each of them alone"
+                )
+
+
+def _check_codes(subjects: Iterable[str]) -> None:
+    """Raise InputError for the code of a subject that cannot name a folder."""
     for code in subjects:
         if not CONDITION.fullmatch(code):
             raise InputError(
                 f"subject {code[:40]!r} is no code of letters, digits, blanks and .,+()%-; correct "
                 "it, a name or a path does not belong there"
             )
-        first = spelled.setdefault(code.casefold(), code)
-        if first != code:
-            notes.append(
-                f"subjects '{first}' and '{code}' differ in case alone and are fitted apart; write "
-                "the code in one way if they are one person"
-            )
-    return notes
 
 
 _Outcome = FitResult | FingerError

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -206,14 +207,13 @@ def fit_elastic(
     contexts, guess = _press_inputs(runs)
     coarse = np.stack([run.presses for run in runs], axis=1)
     finer = np.stack([run.presses[:, :, :3] for run in fine], axis=1)
-    return ElasticContacts.fit(
-        contexts,
-        guess,
-        coarse,
-        finer,
-        lambda share: report("fitting the elastic curves", share),
-        each,
-    )
+
+    def fitted(stage: str, coarse: np.ndarray, finer: np.ndarray) -> ElasticContacts:
+        return ElasticContacts.fit(contexts, guess, coarse, finer, partial(report, stage), each)
+
+    first = fitted("fitting the elastic curves", coarse, finer)
+    kept = first.without_outliers(contexts, guess, coarse, finer)
+    return fitted("fitting them without outliers", *kept)
 
 
 def drive_columns(run: Run, own: Guessed) -> Columns:

@@ -11,6 +11,7 @@ from typing import Any
 
 from finger_common.errors import InputError
 
+from ..conditions import new_conditions
 from ..trial_order import order_text
 
 SEEN: dict[str, type] = {"seen_session": str, "seen_trial": int, "seen_step": str}
@@ -34,13 +35,13 @@ class Command:
 
     arguments: types by name. service: that carries it out; empty for none. sets: makes of the
     arguments the parameters of the protocol node, by name, that are set before. answer: makes the
-    answer of the arguments where no service gives one.
+    answer of the arguments and the status where no service gives one.
     """
 
     arguments: Mapping[str, type]
     service: str = ""
     sets: Callable[[dict[str, Any]], dict[str, Any]] = lambda given: {}
-    answer: Callable[[dict[str, Any]], str] = lambda given: ""
+    answer: Callable[[dict[str, Any], Mapping[str, Any]], str] = lambda given, status: ""
 
 
 COMMANDS: dict[str, Command] = {
@@ -85,7 +86,14 @@ COMMANDS: dict[str, Command] = {
         dict,
     ),
     "order": Command(
-        {"subject": str, "conditions": list, "order": str, "order_seed": int}, answer=order_text
+        {"subject": str, "conditions": list, "order": str, "order_seed": int},
+        answer=lambda given, status: order_text(given),
+    ),
+    "new_conditions": Command(
+        {"conditions": list},
+        answer=lambda given, status: new_conditions(
+            given["conditions"], status.get("preparations", {})
+        ),
     ),
     "tare": Command({}, "force/tare"),
     "moisture": Command({"value": float, **SEEN}, "moisture/set_moisture"),

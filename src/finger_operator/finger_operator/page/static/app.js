@@ -101,7 +101,10 @@ function openSession() {
     const answer = await command("configure", plan, true);
     if (!answer.success) return answer;
     return command(calibrate ? "calibrate" : "start", { ...shown, for_subject: plan.subject });
-  }, (given) => command("order", given, true));
+  }, (given) => Promise.all([
+    command("order", given, true),
+    command("new_conditions", { conditions: given.conditions }, true),
+  ]));
 }
 
 const repeat = once((index) => command("repeat", { index, ...seen() }));
@@ -253,7 +256,7 @@ let fitted = "";
 function fit(content) {
   const cue = $("cue");
   fitted = content;
-  for (const level of [0, 1, 2, 3, 4]) {
+  for (const level of [0, 1, 2, 3, 4, 5]) {
     cue.dataset.fit = level;
     if (cue.scrollHeight <= cue.clientHeight + 1) return;
   }
@@ -374,16 +377,17 @@ setInterval(check, 200);
 
 function showProblems(since) {
   const problems = state.away ? [] : state.alive.problems;
-  const [first] = problems;
+  const [first, ...others] = problems;
   $("banner").hidden = !first;
   $("banner").classList.toggle("starting", Boolean(first?.starting));
   let alarm = state.away ? "Not connected to the rig." : "";
   if (first) {
     const age = first.age === null ? "" : ` Silent for ${seconds(first.age + since)}\u00a0s.`;
     set($("banner-text"), `${first.text}${age}`);
-    set($("banner-remedy"), first.remedy);
-    const more = [first.detail, ...problems.slice(1).map((p) => p.text)];
-    set($("banner-more"), more.filter(Boolean).join(" "));
+    const more = others.length
+      ? ` And ${others.length} more: ${others.map((p) => p.text).join(" ")}` : "";
+    set($("banner-remedy"), first.remedy + more);
+    set($("banner-detail"), first.detail);
     alarm = problems.map((p) => p.text).join(" ") + ` ${first.remedy}`;
   }
   set($("alarm"), alarm);

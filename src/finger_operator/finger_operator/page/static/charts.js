@@ -232,7 +232,7 @@ export class Charts {
     const c = this.colour;
     const legend = $("third-legend");
     const names = {
-      loop: [["measured", "measured"], ["model", "estimated"], ["before", "before"]],
+      loop: [["measured", "measured"], ["model", "estimated"], ["before", "press before"]],
       indentation: [], pressure: [["model", "mean"], ["measured", "peak"]],
     }[this.third];
     legend.replaceChildren(...names.map(([kind, text]) => {

@@ -66,9 +66,9 @@ const ORDERS = [
 const alike = (code) => code.toLowerCase().replace(/(^|\D)0+(?=\d)/g, "$1");
 
 // Ask for a session. status: without a session. begin: called with the plan, and whether the
-// subject is to be calibrated. orderOf: called with subject, conditions, order and seed, resolves
-// to an answer of the server that says what order they give.
-export function newSession(status, begin, orderOf) {
+// subject is to be calibrated. tell: called with subject, conditions, order and seed, resolves to
+// two answers of the server: what order they give, and which conditions may be misspelt.
+export function newSession(status, begin, tell) {
   const { plan } = status;
   const used = status.used_subjects || {};
   const subject = $("plan-subject");
@@ -82,14 +82,17 @@ export function newSession(status, begin, orderOf) {
   const conditions = () => $("plan-conditions").value.split(",").map((c) => c.trim())
     .filter(Boolean);
   let asked = 0;
-  const showOrder = async () => {
+  const showConditions = async () => {
     const question = ++asked;
     const given = {
       subject: subject.value.trim(), conditions: conditions(),
       order: $("plan-order").value, order_seed: Number($("plan-seed").value) || 0,
     };
-    const answer = given.conditions.length ? await orderOf(given) : { success: false };
-    if (question === asked) $("plan-blocks").textContent = answer.success ? answer.message : "";
+    const answers = given.conditions.length ? await tell(given) : [];
+    if (question !== asked) return;
+    ["plan-blocks", "plan-new"].forEach((id, i) => {
+      $(id).textContent = answers[i]?.success ? answers[i].message : "";
+    });
   };
   const number = (value) => (value ? String(value) : "");
   subject.value = plan.subject;
@@ -102,7 +105,7 @@ export function newSession(status, begin, orderOf) {
       own.forEach((id) => { $(id).value = ""; });
     }
     warn();
-    showOrder();
+    showConditions();
   };
   warn();
   $("plan-age").value = number(plan.age);
@@ -118,8 +121,10 @@ export function newSession(status, begin, orderOf) {
   $("plan-readings").value = plan.readings;
   $("plan-target").value = plan.target_force;
   $("plan-error").textContent = "";
-  ["plan-conditions", "plan-order", "plan-seed"].forEach((id) => { $(id).oninput = showOrder; });
-  showOrder();
+  ["plan-conditions", "plan-order", "plan-seed"].forEach((id) => {
+    $(id).oninput = showConditions;
+  });
+  showConditions();
   submits($("session-form"), $("plan-error"), (submitter) => begin({
     subject: subject.value.trim(),
     age: Number($("plan-age").value),

@@ -59,7 +59,7 @@ export function showTrials(s, repeat) {
     row.dataset.verdict = verdict;
     row.className = here ? "here" : "";
     [t.index + 1, shortName(t.condition),
-      `${MARK[verdict] || ""} ${word}${t.attempts > 1 ? ` ×${t.attempts}` : ""}`,
+      `${MARK[verdict] || ""} ${word}${t.attempts > 1 ? ` (${t.attempts}\u00a0attempts)` : ""}`,
       t.time_to_target == null ? "" : `${t.time_to_target.toFixed(2)} s`,
       t.peak_force ? `${t.peak_force.toFixed(2)} N` : "",
     ].forEach((text, i) => set(row.cells[i], String(text).trim()));
