@@ -24,10 +24,10 @@ def wrench(stamp_ns: int, normal: float, lateral: float = 0.0) -> dict[str, Any]
     }
 
 
-def image(stamp_ns: int, area: float, size: int = 96) -> dict[str, Any]:
-    """Mono8 image of a disc of an area, 0.2 mm a pixel."""
+def image(stamp_ns: int, area: float, size: int = 96, pixel: float = 0.2e-3) -> dict[str, Any]:
+    """Mono8 image (size, size) of a disc of an area (m²); pixel: m."""
     y, x = np.mgrid[:size, :size] - size / 2
-    pixels = np.where(np.hypot(x, y) * 0.2e-3 < np.sqrt(area / np.pi), 60, 180).astype(np.uint8)
+    pixels = np.where(np.hypot(x, y) * pixel < np.sqrt(area / np.pi), 60, 180).astype(np.uint8)
     return {
         "header": {"stamp": stamp_ns, "frame_id": "camera"},
         "height": size,

@@ -419,14 +419,14 @@ def test_a_clock_that_differs_is_moved_by_a_mapping(
             if round(t * 500) % 50 == 0:
                 area = 60e-6 * float(press_force(np.array((t - late) % 4.0))) ** 0.4
                 if images:
-                    bag.write("image_raw", image(stamp, area))
+                    bag.write("image_raw", image(stamp, area, 192, 0.1e-3))
                     continue
                 fields = {"header": {"stamp": stamp}, "gross_area": area, "area_stddev": 1e-6}
                 bag.write("contact_area", fields)
     name = "image_raw" if images else "contact_area"
     mapping = TopicMapping.from_mapping({"topics": {name: {"time_offset": -late}}})
     for read, lag in ((ReadSettings(), late), (ReadSettings(mapping), 0.0)):
-        options = {"area_per_pixel": 4e-8} if images else {}
+        options = {"area_per_pixel": 1e-8} if images else {}
         trials = load_trials(path, TrialSettings(read.mapping, **options))
         assert force_image_lag(trials) == pytest.approx(lag, abs=0.04)
         checks = {c.name: c for c in validate(path, read).checks}
