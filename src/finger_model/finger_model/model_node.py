@@ -177,6 +177,11 @@ class _Texted:
         return self._message.pack(*numbers)
 
 
+_one_aside = threading.Lock()
+"""Nodes of one process compute aside one after the other: a reading comes to all fingers at once,
+and with real-time priority their threads would keep all cores from the samples."""
+
+
 @dataclass
 class _Run:
     """The estimator with what follows it, and what the node has seen since it was activated."""
@@ -663,7 +668,12 @@ class ModelNode(ManagedNode):
     @staticmethod
     def _aside(compute: Callable[..., None], *values: Any) -> threading.Thread:
         """Compute in a thread of its own what is only to be ready when it is needed."""
-        thread = threading.Thread(target=compute, args=values, name="prepare", daemon=True)
+
+        def work() -> None:
+            with _one_aside:
+                compute(*values)
+
+        thread = threading.Thread(target=work, name="prepare", daemon=True)
         thread.start()
         return thread
 
