@@ -84,7 +84,7 @@ def test_the_error_does_not_grow_over_taps_without_a_pause(
 
 
 def test_presses_that_are_wrong_at_one_load_are_left_out_there() -> None:
-    """Of the full order's areas one in a hundred is wrong at the least load, by tens of percent."""
+    """At single loads a few of the full order's areas are far off."""
     rng = np.random.default_rng(3)
     fingers, loads, finer_ones = 240, 3, 120
     contexts = rng.uniform(-1.0, 1.0, (2, fingers, 11))

@@ -22,6 +22,11 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from finger_operator.study_plan import PREPARATIONS
 
 
+async def here(action: Callable[[], Any]) -> Any:
+    """In place of the node's thread."""
+    return action()
+
+
 def test_commands_reach_the_protocol_and_its_cues_come_back(
     ros_domain: int, process: Any, free_port: Callable[[], int], tmp_path: Path
 ) -> None:
@@ -170,9 +175,6 @@ def page_here(ros_domain: int, port: int) -> Iterator[tuple[Any, dict[str, Any]]
 def test_the_order_of_a_session_is_told_before_it_begins(
     ros_domain: int, free_port: Callable[[], int]
 ) -> None:
-    async def here(action: Callable[[], Any]) -> Any:
-        return action()
-
     given = {"subject": "2026_S02", "conditions": ["dry", "moist"], "order_seed": 0}
     with page_here(ros_domain, free_port()) as (node, _):
         node._in_node = here
@@ -184,9 +186,6 @@ def test_the_order_of_a_session_is_told_before_it_begins(
 def test_a_condition_that_may_be_misspelt_is_told_before_a_session_begins(
     ros_domain: int, free_port: Callable[[], int]
 ) -> None:
-    async def here(action: Callable[[], Any]) -> Any:
-        return action()
-
     with page_here(ros_domain, free_port()) as (node, _):
         node._in_node = here
         node._status = {"step": "closed", "preparations": {**PREPARATIONS, "greasy": "Oil."}}
@@ -203,9 +202,6 @@ def test_a_session_with_readings_needs_a_probe(
 ) -> None:
     from finger_common.errors import DeviceError
     from finger_msgs.msg import Moisture
-
-    async def here(action: Callable[[], Any]) -> Any:
-        return action()
 
     with page_here(ros_domain, free_port()) as (node, told):
         node._in_node = here
@@ -268,9 +264,6 @@ def test_a_reading_that_does_not_count_is_not_confirmed(
 
     async def published(service: str, request: Any) -> Any:
         return SetMoisture.Response(success=True, message="reading 44.4 a.u. published")
-
-    async def here(action: Callable[[], Any]) -> Any:
-        return action()
 
     with page_here(ros_domain, free_port()) as (node, _):
         node._call, node._in_node = published, here

@@ -39,8 +39,7 @@ LEAST_PRESSES = 150
 those before."""
 OUTLIER = 15.0
 """Distance of a press from the processes, over the median one at that load, from which it does not
-count there: of the full order's areas one in a hundred is wrong at the least load, one in a
-thousand at others, by up to 40 %."""
+count there: at single loads a few of the full order's areas are far off."""
 SEEN = [1, 2, 4]
 """Nodes of the load at which the networks see the elastic curves."""
 LEAST_NOISE = 1e-7
