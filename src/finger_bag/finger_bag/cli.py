@@ -58,6 +58,8 @@ def _info(args: argparse.Namespace) -> int:
     for bag in find_bags(args.bags):
         with open_bag(bag) as reader:
             info = reader.info
+            if not info.topics and not info.complete:
+                raise InputError(f"{bag}: nothing of it can be read ({info.problems[0]})")
             if info.message_count is None or args.count:
                 counts: dict[str, int] = dict.fromkeys(info.topics, 0)
                 for item in reader.messages():

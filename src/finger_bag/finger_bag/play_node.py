@@ -34,9 +34,10 @@ from finger_common.node import use_large_shared_memory
 from finger_common.stamps import fill_time
 
 from .definitions import type_hash
+from .pause_keys import pause_keys
 from .reader import BagReader
 from .recorder_node import message_class
-from .replay import ReplaySettings, replay
+from .replay import Pause, ReplaySettings, replay
 
 CLOCK_TICK = 0.005
 """s between /clock messages: what a timer of a node in the bag's time may be late."""
@@ -73,6 +74,8 @@ def play(
 ) -> Collection[float]:
     """Publish a bag until its end, Ctrl-C or SIGTERM; gives how late (s) each message was.
 
+    The keys of `pause_keys` pause it.
+
     wait: s to let subscribers find the publishers before the first message. Topics whose type is
     not installed are left out with a line on standard error. Raises InputError when nothing can be
     played.
@@ -97,8 +100,9 @@ def play(
         tick = CLOCK_TICK if clock else 0.05
         lateness = array("f")
         time.sleep(wait)
-        with contextlib.suppress(KeyboardInterrupt):
-            for item in replay(reader, settings, list(publishers), publish_clock, tick):
+        pause = Pause()
+        with contextlib.suppress(KeyboardInterrupt), pause_keys(pause):
+            for item in replay(reader, settings, list(publishers), publish_clock, tick, pause):
                 publisher, expected = publishers[item.message.topic]
                 if item.message.type == expected:
                     publisher.publish(item.message.raw)

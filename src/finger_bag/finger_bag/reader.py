@@ -113,7 +113,6 @@ class BagReader:
         self._types: dict[tuple[str, str], dict[Any, TopicInfo]] = {}
         self._known: dict[tuple[str, ...], TopicInfo] = {}
         self._decoders: dict[tuple[str, ...], Decoder | InputError] = {}
-        self._message_compression = False
         files, storage, custom = self._find_files()
         try:
             self._open(files, storage)
@@ -189,7 +188,10 @@ class BagReader:
             if storage_of(file) is None:
                 raise InputError(f"{description}: '{entry}' is neither .mcap nor .db3")
             files.append(file)
-        self._message_compression = str(data.get("compression_mode", "")).lower() == "message"
+        listed_names = {_plain_name(file) for file in files}
+        for file in data_files(self.path) if files else ():
+            if _plain_name(file) not in listed_names:  # ROS unpacks a listed file beside it
+                self._problem(f"{file.name} is in the folder and not in metadata.yaml; not read")
         custom = data.get("custom_data")
         texts = {str(k): str(v) for k, v in custom.items()} if isinstance(custom, dict) else {}
         return files, texts
@@ -447,12 +449,9 @@ class BagReader:
                 bound = LAST_TIME
             for part, offset in pending.before(bound):
                 _, length, channel_id, sequence, time_ns, publish_time_ns = part.head(offset)
-                data = part.content(offset, length)
-                if self._message_compression:
-                    unpacked = self._unpack_message(data)
-                    if unpacked is None:
-                        continue
-                    data = unpacked
+                data = self._unpack_message(part.content(offset, length))
+                if data is None:
+                    continue
                 info = known[(part.number, channel_id)]
                 assert info is not None
                 yield BagMessage(
@@ -469,6 +468,10 @@ class BagReader:
         return None if wanted is not None and info.name not in wanted else info
 
     def _unpack_message(self, data: bytes) -> bytes | None:
+        """A message that rosbag2 compressed, uncompressed, and any other as it is, whatever the
+        metadata say: CDR begins otherwise. None, and a problem noted, where it is damaged."""
+        if not data.startswith(zstandard.FRAME_HEADER):
+            return data
         try:
             parameters = zstandard.get_frame_parameters(data)
             if parameters.content_size > min(MAXIMUM_CHUNK, (64 << 20) + 200 * len(data)):
@@ -493,9 +496,7 @@ class BagReader:
         self._check_open()
         merged = heapq.merge(*(of(sqlite) for sqlite in self._sqlites), key=lambda item: item[0])
         for time_ns, info, raw in merged:
-            data: bytes | None = raw
-            if self._message_compression:
-                data = self._unpack_message(raw)
+            data = self._unpack_message(raw)
             if data is not None:
                 yield BagMessage(info.name, info.type, time_ns, time_ns, 0, data, info, self)
 
@@ -566,6 +567,11 @@ def channel_info(mcap: McapFile, channel_id: int) -> TopicInfo:
         form,
         channel.metadata.get("offered_qos_profiles", ""),
     )
+
+
+def _plain_name(file: Path) -> str:
+    """Name of a file of a bag without the ending of a compressed one."""
+    return file.name.removesuffix(".zstd")
 
 
 def _fields(topic: TopicInfo) -> tuple[Any, ...]:

@@ -17,6 +17,7 @@ import re
 import time
 from collections import deque
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -39,6 +40,7 @@ from finger_msgs.srv import Record
 from .cdr_layout import stamp_of_cdr
 from .definitions import type_hash
 from .recorder import Recorder, RecorderSettings, RecordingResult, Serialized
+from .recording_marker import RecordingMarker
 from .schema import CALIBRATION_ATTACHMENT, TOPICS, SessionMetadata, spec_of
 from .stamp_gaps import StampGaps
 
@@ -190,17 +192,25 @@ class RecorderNode(ManagedNode):
         self._started = 0.0
         self._pauses = Pauses(1.0, 3.0)
         self._next_attempt = self._last_attempt = self._next_reminder = 0.0
+        self._marker = self._marker_here()
         self.create_service(Record, "~/record", self._on_record)
 
     def activate(self) -> None:
         for topic in self._topics.values():
             self._subscribe(topic, self.values["qos_reliability"] == RELIABLE)
+        text = ""
+        if broken := self._marker.broken_off():
+            text = f"the recording into {broken} was broken off; 'finger-bag recover' completes it"
+            self.log_fault(self._health, "broken_off", f"NOT RECORDING: {text}", ERROR)
         if self.values["record_at_start"]:
             try:
-                self._start("", None)
+                path = self._start("", None)
             except FingerError:
                 self._unsubscribe()
                 raise
+            if text:
+                text += f", another one runs into {path}"
+                self.log_fault(self._health, "interrupted", text, WARN)
         # Steady time: recording continues when simulated time stands still or jumps.
         self.create_steady_timer(POLL, self._poll)
         self.create_steady_timer(1.0, self._each_second)
@@ -253,8 +263,10 @@ class RecorderNode(ManagedNode):
         message = Serialized(topic.name, topic.type, cdr, received, min(sent, received))
         topic.latched.append(message)
         if self._recorder.put(message):
-            if topic.gaps is not None:
-                topic.gaps.add(stamp_of_cdr(cdr), seconds(received))
+            if topic.gaps is not None and topic.subscription is not None:
+                stamp = topic.subscription.read(cdr, stamp_of_cdr)
+                if stamp is not None:
+                    topic.gaps.add(stamp, seconds(received))
             self._health.sample()
 
     def _missing(self) -> dict[str, int]:
@@ -386,6 +398,7 @@ class RecorderNode(ManagedNode):
             path = recorder.resume()
         except InputError:  # the disk is full, or is not there
             return
+        self._mark(path)
         self._put_latched()
         self._health.recovered("recording")
         lost = sum(recorder.lost.values())
@@ -406,6 +419,8 @@ class RecorderNode(ManagedNode):
                 path = self._start(request.path, request.trial)
                 response.path, response.message = str(path), f"recording into {path}"
             elif request.command == Record.Request.COMMAND_STOP:
+                if not self._recorder.started:
+                    self._forget_broken_off()
                 result = self._finish()
                 response.path = str(result.path)
                 response.message_count = result.message_count
@@ -455,6 +470,9 @@ class RecorderNode(ManagedNode):
         started = self._recorder.start(
             target, SessionMetadata.from_mapping(session), topics, attachments, self._definitions
         )
+        self._forget_broken_off()
+        self._marker = self._marker_here()
+        self._mark(started)
         self._put_latched()
         self._note_bag()
         self.get_logger().info(f"recording into {started}")
@@ -478,10 +496,40 @@ class RecorderNode(ManagedNode):
             for message in topic.latched:
                 self._recorder.put(message._replace(log_time_ns=now))
 
+    def _marker_here(self) -> RecordingMarker:
+        """Of this recorder, in the folder that it would record into now."""
+        folder = Path(self.values["folder"]).expanduser()
+        return RecordingMarker(folder, self._marker_name)
+
+    @property
+    def _marker_name(self) -> str:
+        """Of one recorder of a computer."""
+        return f"{self.get_fully_qualified_name()}.{self.context.get_domain_id()}"
+
+    def _mark(self, bag: Path) -> None:
+        """Note that a bag is being written, for the node after a crash of this one."""
+        try:
+            self._marker.set(bag)
+        except OSError as error:
+            self.get_logger().warning(
+                f"the recording cannot be noted in 'folder' ({error}): after a crash of the "
+                "recorder nobody would be told; give a folder that can be written",
+                once=True,
+            )
+
+    def _forget_broken_off(self) -> None:
+        """What the recorder writes is closed, or another recording follows on a broken one."""
+        with suppress(OSError):
+            self._marker.clear()
+        self._health.recovered("broken_off")
+
     def _finish(self) -> RecordingResult:
-        self._poll()
-        self._check_middleware()
-        result = self._recorder.stop()
+        try:
+            self._poll()
+            self._check_middleware()
+        finally:  # the bag is closed whatever came
+            result = self._recorder.stop()
+            self._forget_broken_off()
         missing, doubts = self._missing(), self._doubts(result)
         self._note_bag()
         # What is wrong with a bag that is closed keeps no other one from being begun.

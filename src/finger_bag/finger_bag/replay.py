@@ -14,7 +14,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
+from queue import Empty, SimpleQueue
 
 import numpy as np
 
@@ -38,6 +40,31 @@ class ReplaySettings(Settings):
     loop: bool = setting(False, "Begin again at the end.")
 
 
+class Pause:
+    """Holds a replay that is under way; thread-safe."""
+
+    def __init__(self) -> None:
+        self.on = False
+        """Whether no message is given."""
+        self._steps: SimpleQueue[None] = SimpleQueue()
+
+    def toggle(self) -> None:
+        """Pause, or go on as if no time had passed."""
+        self.on = not self.on
+
+    def step(self) -> None:
+        """Give the next message, and none after it."""
+        self.on = True
+        self._steps.put(None)
+
+    def take_step(self) -> bool:
+        """Whether a message was asked for that was not given yet."""
+        with suppress(Empty):
+            self._steps.get_nowait()
+            return True
+        return False
+
+
 @dataclass(frozen=True)
 class Played:
     """One message that is due now.
@@ -56,16 +83,17 @@ def replay(
     topics: Collection[str] | None = None,
     on_time: Callable[[int], None] = lambda bag_time_ns: None,
     tick: float = 0.05,
+    pause: Pause | None = None,
     now: Callable[[], float] = time.perf_counter,
     sleep: Callable[[float], None] = time.sleep,
 ) -> Iterator[Played]:
     """Messages of a bag, each when it is due.
 
     topics: absolute names, None for all. on_time is called with the bag's time (ns) for each
-    message and at least every `tick` seconds, for a clock. Raises InputError when there is nothing
-    to play.
+    message and at least every `tick` seconds, for a clock. pause: stops the bag's time. Raises
+    InputError when there is nothing to play.
     """
-    settings = settings or ReplaySettings()
+    settings, pause = settings or ReplaySettings(), pause or Pause()
     begin = reader.info.start_ns
     if begin is None:
         raise InputError(f"{reader.path}: bag holds no message; nothing to play")
@@ -79,9 +107,18 @@ def replay(
             if last is None:
                 origin, origin_time = now(), bag_time
             due = origin + seconds(bag_time - origin_time) / settings.rate
-            while (left := due - now()) > 0:
-                on_time(bag_time - nanoseconds(left * settings.rate))
-                sleep(min(left, tick))
+            while pause.on or due > now():
+                before, paused = now(), pause.on
+                step = paused and pause.take_step()
+                left = 0.0 if step else max(due - before, 0.0)
+                if not step:
+                    on_time(bag_time - nanoseconds(left * settings.rate))
+                    sleep(tick if paused else min(left, tick))
+                if paused:  # the bag's time stood still, or went to the message
+                    shifted = now() + left - due
+                    origin, due = origin + shifted, due + shifted
+                if step:
+                    break
             on_time(bag_time)
             last = bag_time
             yield Played(message, bag_time, max(0.0, now() - due))

@@ -107,7 +107,9 @@ def add_message(
             writer.write(topic, fields, log_time_ns, message_type)
         written = load_yaml(writer.path / METADATA, "bag metadata")
         part = written["rosbag2_bagfile_information"]
-        name = f"{bag.name}_{len(whole['relative_file_paths'])}.mcap"
+        number = len(whole["relative_file_paths"])
+        while (bag / (name := f"{bag.name}_{number}.mcap")).exists():  # one that is not listed
+            number += 1
         os.replace(writer.path / part["relative_file_paths"][0], bag / name)
     if not closed:  # as after a crash of the recorder: the files in the folder are the bag
         return

@@ -25,11 +25,13 @@ import yaml
 from recorded_messages import read_all
 from session_bags import START, wrench, write_session
 
+from finger_bag.cli import command
 from finger_bag.copying import anonymise, recover
 from finger_bag.mcap_file import McapFile
 from finger_bag.reader import open_bag
 from finger_bag.validate import validate
 from finger_bag.writer import BagWriter
+from finger_common.cli import run
 from finger_common.errors import InputError
 from finger_offline.trials import load_trials
 
@@ -140,6 +142,16 @@ def test_cut_off_bag_gives_everything_before_the_cut(original: bytes, tmp_path: 
         expected = sum(len(file.block(r).times) for r in file.regions[:-1])
     assert rest == expected > 300
     assert any("not closed" in p for p in problems)
+
+
+def test_a_file_of_which_nothing_can_be_read_is_refused_by_info(
+    original: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "cut.mcap"
+    begin, _ = next((a, b) for opcode, a, b in mutations.records(original) if opcode == 6)
+    path.write_bytes(original[: begin + 20])
+    assert run(command, ["info", str(path)]) == 2
+    assert "cut.mcap: nothing of it can be read" in capsys.readouterr().err
 
 
 def test_damage_in_the_middle_does_not_hide_what_follows(original: bytes, tmp_path: Path) -> None:
@@ -360,14 +372,14 @@ def test_impossible_times_are_left_out(tmp_path: Path) -> None:
 def test_png_that_claims_gigapixels_is_not_decoded() -> None:
     from types import SimpleNamespace
 
-    from finger_offline.image_areas import grey_image
+    from finger_offline.image_areas import image_in
 
     size = (1 << 20).to_bytes(4, "big")
     data = b"\x89PNG\r\n\x1a\n" + b"\x00\x00\x00\rIHDR" + size * 2 + b"\x08\x00\x00\x00\x00" * 9
     with pytest.raises(InputError, match="1048576 x 1048576"):
-        grey_image(SimpleNamespace(format="mono8; png compressed ", data=data))
+        image_in(SimpleNamespace(format="mono8; png compressed ", data=data))
     with pytest.raises(InputError, match="can be decoded"):
-        grey_image(SimpleNamespace(format="jpeg", data=b"nothing"))
+        image_in(SimpleNamespace(format="jpeg", data=b"nothing"))
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,7 @@ from finger_bag.copying import recover
 from finger_bag.definitions import encode
 from finger_bag.reader import open_bag
 from finger_bag.recorder import Recorder, RecorderSettings
+from finger_bag.recording_marker import RecordingMarker
 from finger_common.errors import InputError
 
 QUICK = RecorderSettings(flush_interval=0.05, minimum_free=0, compression="none")
@@ -363,6 +364,124 @@ def test_an_interruption_that_can_be_resumed_at_once_is_reported_first(
     )
     assert any(level == 2 and text.startswith("NOT RECORDING") for level, text in published)
     executor.shutdown()
+
+
+FOREIGN: dict[str, Callable[[bytes], bytes]] = {
+    "cut": lambda raw: raw[:6],
+    "empty": lambda raw: b"",
+    "another representation": lambda raw: b"\x00\x07" + raw[2:],
+}
+
+
+@pytest.mark.parametrize("kind", FOREIGN)
+def test_a_message_of_another_format_is_named_and_the_recording_goes_on(
+    node: Any, kind: str
+) -> None:
+    import rclpy
+    from geometry_msgs.msg import WrenchStamped
+    from rclpy.serialization import serialize_message
+
+    talker = rclpy.create_node("talker", context=node.context)
+    publisher = talker.create_publisher(WrenchStamped, "/wrench", 10)
+    path = node._recorder.path
+    wait_for(publisher.get_subscription_count, "the recorder", lambda: time.sleep(0.02))
+    good = serialize_message(WrenchStamped())
+    for raw in (good, FOREIGN[kind](good), good):
+        publisher.publish(raw)
+        time.sleep(0.1)
+        node._poll()
+    node.publish_diagnostics()
+    report = node.healths[0].report()
+    assert report.level == 1 and "messages on '/wrench' cannot be read (1 " in report.message
+    assert report.values["unreadable"] == "/wrench 1"
+    # Whatever can be in a bag is kept as it came.
+    assert node._finish().counts["/wrench"] == (2 if kind == "empty" else 3)
+    with open_bag(path) as reader:
+        assert [m.raw for m in reader.messages()].count(good) == 2 and reader.info.complete
+    talker.destroy_node()
+
+
+def test_a_bag_is_closed_although_its_last_messages_cannot_be_taken(
+    node: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail() -> None:
+        raise RuntimeError("the middleware")
+
+    path = node._recorder.path
+    monkeypatch.setattr(node, "_poll", fail)
+    node.trigger_deactivate()
+    with open_bag(path) as reader:
+        assert reader.info.complete and (path / "metadata.yaml").is_file()
+
+
+KILLED = """
+import os, signal, sys
+import rclpy
+from rclpy.parameter import Parameter
+from finger_bag.recorder_node import RecorderNode
+rclpy.init()
+node = RecorderNode(parameter_overrides=[Parameter("folder", value=sys.argv[1])])
+assert node.bring_up()
+node._start("trial", None)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_a_recording_that_a_kill_broke_off_is_told_until_the_next_one(
+    ros_domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def state() -> tuple[int, str]:
+        report = node.healths[0].report()
+        return report.level, report.message
+
+    def kill(name: str) -> Path:
+        place = tmp_path / name
+        environment = {**os.environ, "ROS_DOMAIN_ID": str(ros_domain)}
+        subprocess.run([sys.executable, "-c", KILLED, str(place)], env=environment, timeout=120)
+        return place
+
+    def recorder(folder: Path, **parameters: Any) -> Any:
+        given = {"folder": str(folder), "record_at_start": False, **parameters}
+        return running_node(ros_domain, folder, monkeypatch, **given)
+
+    folder = kill("killed")
+    for _ in range(2):  # also after a further restart
+        with recorder(folder) as node:
+            level, text = state()
+            assert level == 2 and text.startswith("NOT RECORDING")
+            assert f"into {folder / 'trial'} was broken off; 'finger-bag recover'" in text
+    with recorder(folder) as node:
+        with pytest.raises(InputError, match="exists already"):
+            node._start("trial", None)
+        assert state()[0] == 2  # still nothing is recorded
+        node._start("next", None)
+        assert state()[0] == 0
+        assert node._finish().error == ""
+    with recorder(folder) as node:
+        assert state()[0] == 0
+    # One that begins by itself again says which bag to look after.
+    folder = kill("again")
+    with recorder(folder, record_at_start=True) as node:
+        level, text = state()
+        assert level == 1 and f"into {folder / 'trial'} was broken off" in text
+    # What was closed or removed since, or runs in another recorder, is not told of.
+    folder = kill("removed")
+    shutil.rmtree(folder / "trial")
+    with recorder(folder) as node:
+        assert state()[0] == 0
+        node._start("trial", None)
+        assert RecordingMarker(folder, node._marker_name).broken_off() is None
+
+
+def test_a_place_without_a_marker_only_warns(
+    ros_domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Any
+) -> None:
+    (tmp_path / "file").touch()
+    given = {"folder": str(tmp_path / "file" / "below"), "record_at_start": False}
+    with running_node(ros_domain, tmp_path, monkeypatch, **given) as node:
+        node._start(str(tmp_path / "bag"), None)
+        assert node._finish().error == ""
+    assert "cannot be noted in 'folder'" in capfd.readouterr().err
 
 
 def test_bags_without_a_name_never_meet_and_stay_in_the_folder(node: Any, tmp_path: Path) -> None:

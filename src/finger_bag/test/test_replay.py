@@ -18,7 +18,7 @@ from session_bags import START, wrench
 
 from finger_bag.cli import parser
 from finger_bag.reader import open_bag
-from finger_bag.replay import ReplaySettings, lateness_text, replay
+from finger_bag.replay import Pause, ReplaySettings, lateness_text, replay
 from finger_bag.writer import BagWriter
 from finger_common.errors import InputError
 
@@ -94,6 +94,86 @@ def test_loop_continues_without_time_running_back(short: Path) -> None:
     assert np.all(np.diff(found) > 0)
     rounds = np.array(found[80:160]) - np.array(found[:80])
     assert np.all(rounds == rounds[0])
+
+
+def test_a_pause_stops_the_time_of_the_bag_and_a_step_gives_one_message(short: Path) -> None:
+    clock, pause = Clock(), Pause()
+    began = clock.time
+    told: list[tuple[float, int]] = []
+
+    def on_time(bag_time_ns: int) -> None:
+        """What a user does, by the time since the begin."""
+        passed = clock.time - began
+        told.append((passed, bag_time_ns - START))
+        if pressed and passed > pressed[0][0]:
+            pressed.pop(0)[1]()
+
+    pressed = [(0.105, pause.toggle), (3.0, pause.step), (5.0, pause.step), (9.0, pause.toggle)]
+    with open_bag(short) as reader:
+        times = [
+            clock.time - began
+            for _ in replay(reader, on_time=on_time, pause=pause, now=clock.now, sleep=clock.sleep)
+        ]
+    assert len(times) == 100 and not pressed
+    number = next(i for i, t in enumerate(times) if t > 0.2)
+    assert times[:number] == pytest.approx([i * 0.01 for i in range(number)], abs=1e-6)
+    # One for each step, and the others with their spacing when it goes on.
+    assert times[number : number + 2] == pytest.approx([3.0, 5.0], abs=0.12)
+    assert times[number + 2] == pytest.approx(9.0, abs=0.12)
+    assert np.diff(times[number + 2 : 50]) == pytest.approx(0.01, abs=1e-6)
+    # A clock goes on with the time that stands still.
+    assert len({bag_time for passed, bag_time in told if 5.2 < passed < 9.0}) == 1
+    assert max(np.diff([passed for passed, _ in told])) < 0.051
+    assert min(np.diff([bag_time for _, bag_time in told])) >= 0
+
+
+IN_TERMINAL = """
+import os, sys, threading, time
+from finger_bag.pause_keys import pause_keys
+from finger_bag.replay import Pause
+pause = Pause()
+seen = []
+with pause_keys(pause):
+    print("ready", flush=True)
+    end = time.monotonic() + 50
+    while time.monotonic() < end and not (pause.on and len(seen) == 2):
+        if pause.on and pause.take_step():
+            seen.append("step")
+        time.sleep(0.005)
+print("seen", len(seen), flush=True)
+"""
+
+
+def test_keys_pause_and_the_terminal_is_left_as_it_was() -> None:
+    import os
+    import pty
+    import termios
+
+    outer, inner = pty.openpty()
+    before = termios.tcgetattr(inner)
+
+    def take_terminal() -> None:
+        import fcntl
+
+        os.setsid()
+        fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+
+    child = subprocess.Popen(
+        [sys.executable, "-c", IN_TERMINAL],
+        stdin=inner,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=take_terminal,
+    )
+    assert child.stdout is not None and child.stdout.readline() == "ready\n"
+    assert termios.tcgetattr(inner)[3] != before[3]
+    os.write(outer, b" xss")
+    out, err = child.communicate(timeout=60)
+    assert out == "seen 2\n" and "paused" in err
+    assert termios.tcgetattr(inner) == before
+    os.close(outer)
+    os.close(inner)
 
 
 def test_lateness_of_a_slow_reader_is_reported(short: Path) -> None:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -172,6 +173,46 @@ def test_compressed_bags_are_read(
             bag.write(connection, START + i, raw)
     with open_bag(path) as reader:
         assert [m.message.data for m in reader.messages()] == ["hello"] * 20
+    # As a recorder of ROS leaves it that was killed.
+    (path / "metadata.yaml").unlink()
+    made = recover(path, tmp_path / "made")
+    with open_bag(made.path) as reader:
+        assert [m.message.data for m in reader.messages()] == ["hello"] * 20
+        assert reader.all_problems() == []
+
+
+def test_metadata_that_tell_of_compression_where_there_is_none_are_not_believed(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "bag"
+    raws = write_with_rosbags(path, Stores.ROS2_JAZZY, storage_plugin=StoragePlugin.MCAP)
+    text = (path / "metadata.yaml").read_text()
+    text = re.sub("compression_mode: .*", "compression_mode: message", text)
+    text = re.sub("compression_format: .*", "compression_format: zstd", text)
+    (path / "metadata.yaml").write_text(text)
+    with open_bag(path) as reader:
+        assert [m.raw for m in reader.messages()] == raws and not reader.lost
+
+
+@pytest.mark.parametrize("beside", ["bag_1.mcap", "bag_0.mcap.zstd"])
+def test_a_file_that_the_metadata_do_not_list_is_named(tmp_path: Path, beside: str) -> None:
+    """But for the other form of a file that is listed: ROS unpacks a file that it reads."""
+    path = tmp_path / "bag"
+    with BagWriter(path) as bag:
+        bag.write("wrench", wrench(START, 1.0))
+    (path / beside).write_bytes((path / "bag_0.mcap").read_bytes())
+    lost = beside == "bag_1.mcap"
+    with open_bag(path) as reader:
+        assert len(list(reader.messages())) == 1
+        assert any(beside in problem for problem in reader.all_problems()) == lost
+        assert reader.lost == lost
+    assert recover(path, tmp_path / "made").lost == lost
+    # A message that is added later takes no file's place.
+    size = (path / beside).stat().st_size
+    add_message(path, "/finger/note", "std_msgs/msg/String", {"data": "later"}, START + 1)
+    assert (path / beside).stat().st_size == size
+    with open_bag(path) as reader:
+        assert [m.topic for m in reader.messages()] == ["/finger/wrench", "/finger/note"]
 
 
 def test_file_of_the_mcap_library_is_read(tmp_path: Path) -> None:

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from geometry_msgs.msg import WrenchStamped
-from rclpy.serialization import deserialize_message
 
 from finger_common.diagnostics import WARN, Health
 from finger_common.errors import FingerError, InputError, known_names
@@ -138,10 +137,9 @@ class LslNode(ManagedNode):
         self._senders.clear()
 
     def _send(self) -> None:
-        for topic, (sender, subscription) in self._senders.items():
+        for sender, subscription in self._senders.values():
             sender.repeat_marker()
-            for data, _ in subscription.take():
-                message = deserialize_message(data, TYPES[topic])
+            for message in subscription.messages():
                 sender.send(header_stamp(message), message)
                 self._health.sample()
             if lost := subscription.newly_lost():

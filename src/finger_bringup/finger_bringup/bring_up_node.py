@@ -18,7 +18,6 @@ from typing import Any
 from lifecycle_msgs.msg import Transition, TransitionEvent
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.qos import QoSProfile
-from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 
 from finger_common.diagnostics import ERROR, STARTING, WARN, Health
@@ -176,8 +175,8 @@ class BringUpNode(ManagedNode):
     def _hear(self, now: float) -> set[_Node]:
         """Take in heartbeats and transitions that came; nodes that somebody else changed."""
         for space, beating in self._beating.items():
-            for raw, _ in beating.take():
-                node = self._nodes.get(space + deserialize_message(raw, String).data)
+            for message in beating.messages():
+                node = self._nodes.get(space + message.data)
                 if node is not None and node.last_sign is not None:
                     node.last_sign = now
         reporting = [node for node in self._nodes.values() if list(node.transitions.take())]

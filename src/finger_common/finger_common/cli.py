@@ -120,18 +120,22 @@ class Parser(argparse.ArgumentParser):
         choice = re.search(r"invalid choice: '?([^' ]*)'? \(choose from (.*)\)", message)
         near = None
         if unknown:
+            given = unknown[1].split("=")[0]
             options = {option.lstrip("-"): option for option in self._all_options()}
-            found = nearest(unknown[1].split("=")[0].lstrip("-"), options)
+            options.pop(given.lstrip("-"), None)  # known, but not in this place
+            found = nearest(given.lstrip("-"), options)
             near = None if found is None else options[found]
         elif choice:
             near = nearest(choice[1], re.findall(r"[^', ]+", choice[2]))
         super().error(message if near is None else f"{message}; did you mean '{near}'?")
 
     def _all_options(self) -> list[str]:
+        """Options of this command and of the subcommand in use; of all, where none is named."""
         found = list(self._option_string_actions)
         for action in self._actions:
             if isinstance(action, argparse._SubParsersAction):
-                for parser in action.choices.values():
+                named = [action.choices[word] for word in self._given if word in action.choices]
+                for parser in named[:1] or action.choices.values():
                     found += parser._option_string_actions
         return found
 

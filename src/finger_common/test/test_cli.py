@@ -28,6 +28,7 @@ top = Parser(prog="tool")
 commands = top.add_subparsers(dest="command", parser_class=Parser)
 up = commands.add_parser("up")
 up.add_argument("--simulated", action="store_true")
+commands.add_parser("down").add_argument("--window-size")
 up.add_argument("--window", choices=("loading", "contact"))
 top.parse_args()
 """
@@ -88,6 +89,18 @@ def test_an_option_like_no_other_gets_no_guess(capsys: pytest.CaptureFixture[str
     with pytest.raises(SystemExit):
         parser.parse_args(["--qqq"])
     assert "did you mean" not in capsys.readouterr().err
+
+
+def test_an_option_of_another_subcommand_is_not_proposed() -> None:
+    for arguments in (["down", "--window", "x"], ["down", "--simulated"], ["down", "--simulate"]):
+        done = subprocess.run(
+            [sys.executable, "-c", COMMAND, *arguments], capture_output=True, text=True, timeout=60
+        )
+        said = done.stderr.strip().splitlines()[-1]
+        assert done.returncode == 2 and arguments[1] in said, done.stderr
+        proposed = said.partition("did you mean ")[2]
+        assert proposed in ("", "'--window-size'?"), said
+        assert bool(proposed) == (arguments[1] == "--window"), said
 
 
 def test_a_misspelt_option_is_named_before_what_is_missing(

@@ -311,7 +311,7 @@ def test_a_waited_stream_is_delivered_without_the_executor_and_its_error_ends_it
 
     def waited(topic: str) -> WaitedSubscription:
         polled = PolledSubscription(listener, Float64, topic, qos)
-        return WaitedSubscription(listener, polled, Float64, take, errors.append)
+        return WaitedSubscription(listener, polled, take, errors.append)
 
     try:
         first, second = (talker.create_publisher(Float64, topic, qos) for topic in ("a", "b"))
@@ -337,6 +337,66 @@ def test_a_waited_stream_is_delivered_without_the_executor_and_its_error_ends_it
         wait_for(lambda: received[-1] == 7.0, pause)
     finally:
         listener.destroy_node()
+        talker.destroy_node()
+        rclpy.shutdown(context=context)
+
+
+def test_messages_that_do_not_fit_their_definition_are_left_out_counted_and_named(
+    ros_domain: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As of a driver that was built with another version of the messages."""
+    from rclpy.serialization import serialize_message
+    from std_msgs.msg import Header
+
+    from finger_common.diagnostics import Health
+    from finger_common.node import LATCHED_QOS, ManagedNode
+
+    received: list[str] = []
+
+    class Reader(ManagedNode):
+        def configure(self) -> None:
+            self.healths = [Health("reader")]
+            self.polled = self.create_polled_subscription(Header, "polled", LATCHED_QOS)
+            self.create_waited_subscription(
+                Header, "waited", lambda message: received.append(message.frame_id), LATCHED_QOS
+            )
+
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=ros_domain)
+    talker = rclpy.create_node("talker", context=context)
+    reader = Reader(context=context)
+    whole = [serialize_message(Header(frame_id=name)) for name in ("first", "last")]
+    topics = ("polled", "waited")
+    publishers = [talker.create_publisher(Header, topic, LATCHED_QOS) for topic in topics]
+    try:
+        for publisher in publishers:
+            for raw in (whole[0], whole[0][:-4], whole[0][:2], whole[1]):
+                publisher.publish(raw)
+        assert reader.bring_up()  # after they were sent
+        wait_for(lambda: received[-1:] == ["last"], lambda: time.sleep(0.02))
+        assert received == ["first", "last"]
+        polled: list[str] = []
+
+        def poll() -> bool:
+            polled.extend(message.frame_id for message in reader.polled.messages())
+            return polled[-1:] == ["last"]
+
+        wait_for(poll, lambda: time.sleep(0.02))
+        assert polled == ["first", "last"]
+        reader.publish_diagnostics()
+        report = reader.healths[0].report()
+        assert report.level == 1 and "another version of std_msgs" in report.message
+        for topic in topics:
+            assert f"messages on '/{topic}' cannot be read (2 so far)" in report.message
+            assert f"/{topic} 2" in report.values["unreadable"]
+        # It is over some time after the last one.
+        monkeypatch.setattr("finger_common.node.stream_watch.REMEMBERED", 0.0)
+        reader.publish_diagnostics()
+        report = reader.healths[0].report()
+        assert report.level == 0 and "/polled 2" in report.values["unreadable"]
+    finally:
+        reader.release()
+        reader.destroy_node()
         talker.destroy_node()
         rclpy.shutdown(context=context)
 

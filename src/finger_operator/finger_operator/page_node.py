@@ -23,7 +23,6 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from rcl_interfaces.srv import GetParameters, SetParameters
-from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -36,6 +35,7 @@ from finger_common.node import (
     POLLED_DEPTH,
     Jobs,
     ManagedNode,
+    PolledSubscription,
     main_of,
     refusal_of,
     set_request,
@@ -164,19 +164,25 @@ class PageNode(ManagedNode):
 
     def _poll(self) -> None:
         period = NANOSECONDS / self.values["display_rate"]
-        for data, _ in self._wrench.take():
-            stamp = stamp_of_cdr(data)
-            if not 0 <= stamp - self._last_force < period:
-                self._last_force = stamp
-                self._show_force(stamp, deserialize_message(data, WrenchStamped))
-        for data, _ in self._state.take():
-            stamp = stamp_of_cdr(data)
-            if not 0 <= stamp - self._last_state < 4 * period:
-                self._last_state = stamp
-                self._show_state(deserialize_message(data, ContactState))
+        self._last_force = self._show(self._wrench, self._last_force, period, self._show_force)
+        self._last_state = self._show(self._state, self._last_state, 4 * period, self._show_state)
 
-    def _show_force(self, stamp: int, message: WrenchStamped) -> None:
-        force = self._normal_force(message)
+    @staticmethod
+    def _show(
+        polled: PolledSubscription, last: int, period: float, show: Callable[[Any], None]
+    ) -> int:
+        """Show what has come, one message in each period (ns); stamp (ns) of the last one shown."""
+        for raw, _ in polled.take():
+            stamp = polled.read(raw, stamp_of_cdr)
+            if stamp is None or 0 <= stamp - last < period:
+                continue
+            last = stamp
+            if (message := polled.read(raw)) is not None:
+                show(message)
+        return last
+
+    def _show_force(self, message: WrenchStamped) -> None:
+        stamp, force = header_stamp(message), self._normal_force(message)
         self._memory.add(stamp, force)
         if math.isfinite(force):
             self._readiness.sample("force", time.monotonic())

@@ -22,7 +22,6 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
-from rclpy.serialization import deserialize_message
 from std_srvs.srv import Trigger
 
 from finger_bag.streams import TrialEvent
@@ -414,9 +413,8 @@ class ProtocolNode(ManagedNode):
 
     def _poll(self) -> None:
         """Read the new force samples; one executor round for each would cost a fifth of a core."""
-        for data, _ in self._wrench.take():
-            if self._protocol is not None:
-                message = deserialize_message(data, WrenchStamped)
+        for raw, _ in self._wrench.take():
+            if self._protocol is not None and (message := self._wrench.read(raw)) is not None:
                 normal, across = self._normal_force(message), self._normal_force.tangential(message)
                 self._protocol.wrench(header_stamp(message), normal, across)
 

@@ -225,6 +225,39 @@ def test_a_session_with_readings_needs_a_probe(
         node.destroy_publisher(probe)
 
 
+def test_messages_of_another_format_are_left_out_and_named(
+    ros_domain: int, free_port: Callable[[], int]
+) -> None:
+    from geometry_msgs.msg import WrenchStamped
+    from rclpy.serialization import serialize_message
+
+    from finger_msgs.msg import ContactState
+
+    with page_here(ros_domain, free_port()) as (node, told):
+        kinds = {"wrench": WrenchStamped, "contact_state": ContactState}
+        publishers = [node.create_publisher(kind, topic, 10) for topic, kind in kinds.items()]
+        for publisher in publishers:
+            end = time.monotonic() + 20
+            while not publisher.get_subscription_count():
+                assert time.monotonic() < end
+                time.sleep(0.02)
+        for publisher, kind in zip(publishers, kinds.values()):
+            message = kind()
+            message.header.stamp.sec = 1
+            raw = serialize_message(message)
+            message.header.stamp.sec = 2
+            # Cut in the header, cut behind it, of XCDR2, and one that can be read.
+            for sent in (raw[:6], raw[:-4], b"\x00\x07" + raw[2:], serialize_message(message)):
+                publisher.publish(sent)
+        end = time.monotonic() + 20
+        while "estimate" not in told or node._last_force != 2 * 10**9:
+            assert time.monotonic() < end
+            node._poll()
+            time.sleep(0.02)
+        node.publish_diagnostics()
+        assert node.healths[0].report().values["unreadable"] == "/wrench 3, /contact_state 3"
+
+
 def test_an_area_that_is_not_known_is_told_with_the_reason(
     ros_domain: int, free_port: Callable[[], int]
 ) -> None:

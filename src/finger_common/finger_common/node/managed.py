@@ -328,7 +328,7 @@ class ManagedNode(LifecycleNode):
         """
         polled = self.create_polled_subscription(message_type, topic, qos)
         self._stream_watch.polled.append(polled)
-        waited = WaitedSubscription(self, polled, message_type, callback, self.fail)
+        waited = WaitedSubscription(self, polled, callback, self.fail)
         self._ends[polled.subscription] = waited.destroy
         return waited
 
@@ -339,7 +339,7 @@ class ManagedNode(LifecycleNode):
 
         overridable: whether the parameters qos_overrides.… change its QoS.
         """
-        create = partial(PolledSubscription, self)
+        create = partial(PolledSubscription, self, unreadable=self._stream_watch.unreadable)
         if overridable:
             # Those of a subscription before it, of another QoS, would be taken for the user's.
             self._forget_overrides(f"{QOS_OVERRIDES}{self.resolve_topic_name(topic)}.subscription.")

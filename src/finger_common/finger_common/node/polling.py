@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Any
 
@@ -18,6 +19,9 @@ from rclpy.event_handler import (
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
+
+from ..errors import InputError
 
 
 class _NeverExecuted(CallbackGroup):
@@ -43,10 +47,18 @@ class PolledSubscription:
     For streams that need no immediate answer: a round of the executor costs far more than reading a
     message. QoS events are polled, too: Fast DDS wakes a wait for them again and again while
     messages are unread, which would keep a core busy.
+
+    unreadable: counts messages that cannot be read, by topic and package of its type.
     """
 
     def __init__(
-        self, node: Node, message_type: Any, topic: str, qos: QoSProfile, **options: Any
+        self,
+        node: Node,
+        message_type: Any,
+        topic: str,
+        qos: QoSProfile,
+        unreadable: Counter[tuple[str, str]] | None = None,
+        **options: Any,
     ) -> None:
         self.topic = topic
         self.qos = qos
@@ -61,6 +73,9 @@ class PolledSubscription:
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
             **options,
         )
+        package = message_type.__module__.partition(".")[0]
+        self._source = self.subscription.topic_name, package
+        self._unreadable = Counter() if unreadable is None else unreadable
         self._events: dict[QoSSubscriptionEventType, Any] = {}
         for kind in (
             QoSSubscriptionEventType.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS,
@@ -87,6 +102,24 @@ class PolledSubscription:
             if taken is None:
                 return
             yield taken
+
+    def messages(self) -> Iterator[Any]:
+        """Messages received since the last call, without those that cannot be read."""
+        for raw, _ in self.take():
+            if (message := self.read(raw)) is not None:
+                yield message
+
+    def read(self, raw: bytes, how: Callable[[bytes], Any] | None = None) -> Any:
+        """A serialized message, or what `how` reads of it; None, and counted, where it cannot be
+        read, as of a publisher that has another definition of the type.
+
+        how: raises InputError for what it cannot read.
+        """
+        try:
+            return deserialize_message(raw, self._type) if how is None else how(raw)
+        except (InputError, rclpy_implementation.RMWError):
+            self._unreadable[self._source] += 1
+            return None
 
     def new_mismatches(self) -> int:
         """Publishers found since the last call whose QoS does not fit."""

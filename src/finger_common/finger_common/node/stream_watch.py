@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -20,13 +21,15 @@ if TYPE_CHECKING:
 KEPT = DurabilityPolicy.TRANSIENT_LOCAL
 
 REMEMBERED = 30.0
-"""s for which the middleware may still show the publishers of a node that was killed."""
+"""s for which the middleware may still show the publishers of a node that was killed, and after
+which messages that could not be read are no longer told."""
 
 
 class StreamWatch:
     """Reports in a node's first health what harms its streams; `look` is called each second.
 
     published: publishers of streams. polled: subscriptions whose QoS events nobody else reads.
+    unreadable: messages that could not be read, by topic and package of its type.
     read: topics (resolved names) that the node reads, each of which one publisher should give, with
     whether the node would mix several.
     """
@@ -35,6 +38,8 @@ class StreamWatch:
         self.published: list[Any] = []
         self.polled: list[PolledSubscription] = []
         self.read: dict[str, Callable[[], bool]] = {}
+        self.unreadable: Counter[tuple[str, str]] = Counter()
+        self._unreadable_told: tuple[Counter[tuple[str, str]], float] = Counter(), 0.0
         self._node = node
         self._mismatches: dict[str, QoSProfile] = {}
         self._shared_since: dict[str, float] = {}
@@ -47,6 +52,7 @@ class StreamWatch:
         self._report_namesake()
         self._report_second_publishers()
         self._report_mixed_inputs()
+        self._report_unreadable()
 
     def check_mismatch(self, polled: PolledSubscription) -> None:
         """Report publishers of a polled topic whose QoS is incompatible."""
@@ -117,6 +123,23 @@ class StreamWatch:
         if mixed:
             mixed.append("end one, or give it another topic")
         self._tell(MIXED_INPUT, "; ".join(mixed), WARN)
+
+    def _report_unreadable(self) -> None:
+        """Report messages that could not be read, until none have come for a while."""
+        found, now = self.unreadable.copy(), time.monotonic()
+        if not found:
+            return
+        if found != self._unreadable_told[0]:
+            self._unreadable_told = found, now
+        notes = self._node.healths[0].notes
+        notes["unreadable"] = ", ".join(f"{topic} {n}" for (topic, _), n in found.items())
+        texts = [
+            f"messages on '{topic}' cannot be read ({n} so far): is its publisher built with "
+            f"another version of {package}, or does it not send plain CDR?"
+            for (topic, package), n in found.items()
+        ]
+        recent = now - self._unreadable_told[1] < REMEMBERED
+        self._tell("unreadable", "; ".join(texts) if recent else "", WARN)
 
     def _tell(self, key: str, text: str, level: int) -> None:
         """Report a fault of the node, none where the text is empty."""

@@ -18,7 +18,6 @@ from typing import Any
 from rclpy.context import Context
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
-from rclpy.serialization import deserialize_message
 
 from .polling import PolledSubscription
 from .shared import SharedInContext
@@ -42,12 +41,10 @@ class WaitedSubscription:
         self,
         node: Node,
         polled: PolledSubscription,
-        message_type: Any,
         callback: Callable[[Any], Any],
         fail: Callable[[Exception], None],
     ) -> None:
         self.polled = polled
-        self._type = message_type
         self._callback = callback
         self._fail = fail
         self._waiter = _Waiter.of(node.context)
@@ -56,8 +53,8 @@ class WaitedSubscription:
     def deliver(self) -> None:
         """Pass on what has come."""
         try:
-            for raw, _ in self.polled.take():
-                self._callback(deserialize_message(raw, self._type))
+            for message in self.polled.messages():
+                self._callback(message)
         except rclpy_implementation.InvalidHandle:
             self._waiter.remove(self)
         except Exception as error:

@@ -13,7 +13,6 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-from rclpy.serialization import deserialize_message
 
 from finger_common.cli import one_line
 from finger_common.diagnostics import ERROR, OK, WARN
@@ -114,8 +113,8 @@ class LiveCalibration:
 
     def _calipers_of(self, session: str) -> GeometryEstimate | None:
         """What calipers told of the finger of a session, as the protocol node's status has it."""
-        for raw, _ in self._protocol.take():
-            self._plan = deserialize_message(raw, SessionStatus)
+        for message in self._protocol.messages():
+            self._plan = message
         if self._plan is None or self._plan.session != session:
             return None
         return session_estimate(parameter_values(self._plan.plan))
