@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 
 from .errors import InputError
@@ -14,16 +15,73 @@ _UPPER_BITS, _LOW_BITS = 0xF000, 0x000F
 """Bits of which a picture in the lower 10 or 12 bits has none, and one in the upper 12, 10 or 8."""
 
 
+LEAST_BRIGHTEST = 0x1000
+"""Least value of a 16-bit picture that has used the upper bits."""
+
+MORE_STRUCTURE, STRUCTURE_GREYS = 2.0, 0.5
+"""Another channel of a colour camera sees the contact where it has seen so many times as much fine
+structure, and so many greys more."""
+
+
+class OneChannel:
+    """Takes one channel of the pictures of a colour camera.
+
+    A plate is lit in one colour: luminance would keep a tenth of what blue light shows, and the
+    brightest value of each pixel would fill dark ridges with another light. It begins with the
+    brightest channel. Where fine structure comes or goes, as ridges do, and another channel shows
+    it better, that one is taken from then on; `channel` is its number.
+    """
+
+    def __init__(self) -> None:
+        self.channel: int | None = None
+        self._least = self._most = np.zeros(3)
+
+    def __call__(self, pixels: np.ndarray) -> np.ndarray:
+        """(H, W) of the next picture (H, W, 1), (H, W, 3) or (H, W, 4), alpha last."""
+        if pixels.shape[2] == 1:
+            return pixels[:, :, 0]
+        structure = _structure(pixels)
+        if self.channel is None:
+            self.channel = int(np.argmax(cv2.mean(pixels)[:3]))
+            self._least = self._most = seen = structure
+        else:
+            self._least = np.minimum(self._least, structure)
+            self._most = np.maximum(self._most, structure)
+            seen = self._most - self._least
+        best = int(np.argmax(seen))
+        if seen[best] > MORE_STRUCTURE * seen[self.channel] + STRUCTURE_GREYS:
+            self.channel = best
+        return np.ascontiguousarray(pixels[:, :, self.channel])
+
+
+def _structure(pixels: np.ndarray) -> np.ndarray:
+    """Fine structure (3,) of the channels of a picture: mean standard deviation within squares of
+    16 pixels beyond that of the quietest ones, which is noise; in greys of 8 bits."""
+    height, width = (max(1, side // 2) for side in pixels.shape[:2])
+    half = cv2.resize(pixels, (width, height), interpolation=cv2.INTER_AREA)[:, :, :3]
+    grey = half.astype(np.float32)
+    if pixels.dtype == np.uint16:
+        grey /= 256
+    squares = max(1, width // 8), max(1, height // 8)
+    mean = cv2.resize(grey, squares, interpolation=cv2.INTER_AREA)
+    square = cv2.resize(grey * grey, squares, interpolation=cv2.INTER_AREA)
+    deviation = np.sqrt(np.maximum(square - mean * mean, 0)).reshape(-1, 3)
+    found: np.ndarray = deviation.mean(axis=0) - np.percentile(deviation, 10, axis=0)
+    return found
+
+
 class Mono8:
     """Converts the pictures of one camera.
 
     dark: whether they may be dark throughout, as of a dark plate. A 16-bit picture that is dark and
     uses the lowest bits is else refused, until a brighter one has come: cameras of 10 or 12 bits
-    that fill the lower bits give such pictures, which would become black.
+    that fill the lower bits give such pictures, which would become black. `colour` takes the
+    channel of a colour camera.
     """
 
     def __init__(self, dark: bool = False) -> None:
         self._full_scale = dark
+        self.colour = OneChannel()
 
     def __call__(self, image: np.ndarray, where: str = "image") -> np.ndarray:
         """(H, W) uint8 of a grey or colour image of uint8 or uint16.
@@ -42,7 +100,7 @@ class Mono8:
                 "them"
             )
         if image.ndim == 3 and image.shape[2] in (1, 3, 4):
-            image = brightest_channel(image)
+            image = self.colour(image)
         if image.ndim != 2:
             shape = "×".join(map(str, image.shape))
             raise InputError(f"{where}: image has shape {shape}, (height, width) is needed")
@@ -73,17 +131,6 @@ def in_low_bits(image: np.ndarray) -> bool:
 def as_mono8(image: np.ndarray, where: str = "image") -> np.ndarray:
     """(H, W) uint8 of one picture, as `Mono8` gives the first of a camera."""
     return Mono8()(image, where)
-
-
-def brightest_channel(pixels: np.ndarray) -> np.ndarray:
-    """Grey (H, W) of pixels (H, W, 1), (H, W, 3) or (H, W, 4), the last of four being alpha.
-
-    A plate is lit in one colour: luminance would keep a tenth of what blue light shows.
-    """
-    grey = pixels[:, :, 0]
-    for channel in range(1, min(pixels.shape[2], 3)):
-        grey = np.maximum(grey, pixels[:, :, channel])
-    return grey
 
 
 def in_full_range(image: np.ndarray, data: bytes | memoryview) -> np.ndarray:

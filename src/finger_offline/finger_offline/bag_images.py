@@ -16,7 +16,7 @@ from finger_common.image_size import PixelBudget
 from finger_common.mono8 import as_mono8
 from finger_common.stamps import header_stamp, seconds
 
-from .image_areas import grey_image
+from .image_areas import image_in
 
 
 def images_of_bag(path: Path, topic: str, every: float) -> Iterator[tuple[str, np.ndarray]]:
@@ -36,7 +36,7 @@ def images_of_bag(path: Path, topic: str, every: float) -> Iterator[tuple[str, n
             last = stamp
             if pixels.spent:
                 raise InputError(f"{path}: more pixels than its bytes can hold; give --every")
-            image = as_mono8(grey_image(item.message))
+            image = as_mono8(image_in(item.message))
             pixels.take(image.size)
             yield f"{path} at {seconds(stamp):.3f} s", image
         if reader.lost:

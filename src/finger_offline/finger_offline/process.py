@@ -52,9 +52,10 @@ from finger_model.pose.settings import PoseSettings
 from finger_model.reduced.model import load_population
 from finger_model.slip import SlipSettings
 from finger_vision.area_sensor import ContactMeasurement
+from finger_vision.camera_stream import LeftOut
 
 from .contact_states import open_table, serialize, serialize_shapes, serialize_slips
-from .image_areas import ImageAreas, MeasuringThread, RepeatedImage
+from .image_areas import ImageAreas, MeasuringThread
 from .image_settings import told_settings
 from .input_order import HEAD_START_NS, InputOrder
 from .input_topics import InputTopics
@@ -341,7 +342,7 @@ class _Run:
                 raise InputError(f"a wrench has more than {MAXIMUM_WRENCH} bytes")
             self.queue.add_wrench(item)
         elif item.topic == topics.image and self.images is not None:
-            self.images.add(item)
+            self.images.add(item, image_stamp(item, topics.image_mapping))
             self._collect_areas(0)
         elif item.topic == topics.moisture:
             stamp, value = stamp_and_value(item, self.mapping.topic("moisture"))
@@ -388,14 +389,13 @@ class _Run:
         """Take the areas of images logged until then, and of those that too many others follow."""
         if self.images is None:
             return
-        for item, measured in self.images.results(until_ns):
-            if isinstance(measured, RepeatedImage):
+        for item, stamp, measured in self.images.results(until_ns):
+            if isinstance(measured, LeftOut):
                 continue
             if isinstance(measured, FingerError):
                 self.malformed.add(item.topic, measured)
                 continue
             area, sd = measured.gross_area, measured.area_sd
-            stamp = image_stamp(item, self.topics.image_mapping)
             if not measured.flags & NOT_WHOLE:
                 stick = measured.motion.stick_ratio, measured.motion.stick_ratio_sd
                 self.seen[stamp] = stick, measured_outline(measured)

@@ -69,6 +69,23 @@ def test_a_video_and_a_folder_of_images_give_areas(files: dict[str, str], tmp_pa
             assert (kept is not None) == (name == "images")
 
 
+def test_images_that_cannot_be_used_give_no_area_and_are_noted(
+    files: dict[str, str], tmp_path: Path
+) -> None:
+    rng = np.random.default_rng(0)
+    (tmp_path / "images").mkdir()
+    for number, time in enumerate(np.arange(0.0, 4.0, 0.1)):
+        image = picture(float(area_at(time)), rng)
+        if number == 20:
+            image[100:104] = 0
+        cv2.imwrite(str(tmp_path / "images" / f"press{number:02d}.png"), image)
+    files |= {"images": str(tmp_path / "images"), "area": ""}
+    settings = ImportSettings(**files, frame_rate=10.0, area_per_pixel=PIXEL)
+    result = import_trial(settings, tmp_path / "bag")
+    assert len(result.areas) == 39
+    assert any("1 images give no area (the image is incomplete" in n for n in result.notes)
+
+
 def test_images_of_two_cameras_in_one_folder_are_refused(
     files: dict[str, str], tmp_path: Path
 ) -> None:

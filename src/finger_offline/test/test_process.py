@@ -251,7 +251,7 @@ def test_processing_again_is_the_same_for_any_blocks(
 def test_areas_from_images_are_those_of_the_segmenter(
     session: Callable[..., Path], tmp_path: Path
 ) -> None:
-    from finger_offline.image_areas import grey_image
+    from finger_offline.image_areas import image_in
     from finger_vision.calibration import PlateCalibration
     from finger_vision.ftir import FtirSegmenter
 
@@ -265,7 +265,7 @@ def test_areas_from_images_are_those_of_the_segmenter(
     segmenter = FtirSegmenter(calibration=PlateCalibration.from_area_per_pixel(0.04e-6))
     with open_bag(path) as source, open_bag(tmp_path / "out") as made:
         expected = [
-            segmenter.process(grey_image(m.message)) for m in source.messages(["/finger/image_raw"])
+            segmenter.process(image_in(m.message)) for m in source.messages(["/finger/image_raw"])
         ]
         found = [m.message for m in made.messages(["/finger/contact_area"])]
     assert [a.gross_area for a in found] == [e.gross_area for e in expected]

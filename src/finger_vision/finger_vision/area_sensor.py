@@ -77,8 +77,8 @@ class ContactMeasurement:
 
 
 class NoLight(InputError):
-    """A signal without the light that the background was learned with: a contact is not seen in it,
-    so that it shows neither one nor none.
+    """A signal without the light that the background was learned with, or of one grey throughout: a
+    contact is not seen in it, so that it shows neither one nor none.
     """
 
 

@@ -32,6 +32,10 @@ LEVEL, BRIGHT_LEVEL = 150.0, 60.0
 """Greys of a plate of unchanged light in a frame that was divided by the learned plate, and in one
 from which it was subtracted."""
 
+SHADE, FLOODED = 8.0, 60.0
+"""Greys, after that, by which a shadow differs from the light around it at least, and by which skin
+without furrows does."""
+
 SKIN, ADDED_LIGHT = 16.0, 0.15
 """Greys up to which a pixel counts that differs from the plate, as skin does; and those by which
 the learned plate with light added must differ less, in the mean, than one with another gain."""
@@ -183,13 +187,21 @@ def background_of(
             bright = polarity == "bright"
             if polarity == "auto":
                 bright = _ridges_are_bright(mean - expected, deviation)
-            image = learned.plate(bright)
-            if more:
-                cv2.add(image, np.array([added]), image)
-            else:
-                cv2.convertScaleAbs(image, image, gain)
-            if _light_moved(mean, expected, plate):
-                image = _relit(image, frame, bright, envelope)
+
+            def in_this_light(image: np.ndarray) -> np.ndarray:
+                if more:
+                    return cv2.add(image, np.array([added]))
+                return cv2.convertScaleAbs(image, None, gain)
+
+            image = in_this_light(learned.plate(bright))
+            if _light_moved(mean, expected, plate) or _shade_fell(
+                _reached(frame, deviation, bright, envelope), expected, bright
+            ):
+                light = _light(in_this_light(learned.image), frame, bright, envelope)
+                if bright:
+                    image = cv2.addWeighted(image, 1.0, light, 1.0, -BRIGHT_LEVEL)
+                else:
+                    image = cv2.multiply(image, light, scale=1.0 / LEVEL)
             return Background(image, bright, True, learned.noise, frame, lit=lit)
     border = dark_border(frame)
     if border is not None and polarity == "auto":
@@ -253,20 +265,39 @@ def _light_moved(mean: np.ndarray, expected: np.ndarray, plate: np.ndarray) -> b
     return bool(np.sum(moved & plate) > MOVED_SHARE * np.sum(plate))
 
 
-def _relit(image: np.ndarray, frame: np.ndarray, bright_ridges: bool, envelope: int) -> np.ndarray:
-    """The learned plate (h, w) uint8 in the light of a frame.
+def _shade_fell(reached: np.ndarray, expected: np.ndarray, bright_ridges: bool) -> bool:
+    """Whether the plate seems darker (brighter, for bright ridges) than `expected` also between
+    ridges, by less than skin is.
 
-    Light changes a plate smoothly, so that its change is guessed as the background of a plate of
-    one grey.
+    reached (rows, columns): as of `_reached`. So shadows are seen that leave no smooth plate beside
+    the contact.
+    """
+    short = reached - expected if bright_ridges else LEVEL * (1 - reached / np.maximum(expected, 1))
+    return bool(np.mean((short > SHADE) & (short < FLOODED)) > MOVED_SHARE)
+
+
+def _light(image: np.ndarray, frame: np.ndarray, bright_ridges: bool, envelope: int) -> np.ndarray:
+    """Light (h, w) uint8 in a frame, of which `image` is the plate but for the light: LEVEL, or
+    BRIGHT_LEVEL, where nothing has changed.
+
+    It is guessed as the background of a plate of one grey, which varies over millimetres. The edge
+    of a shadow may be sharper. So what remains of the frame where all is filled up that is narrower
+    than the envelope, as ridges are, is the light, but where sweat has flooded the furrows: that
+    differs more from the guess.
     """
     if bright_ridges:
         flat = cv2.addWeighted(frame, 1.0, image, -1.0, BRIGHT_LEVEL)
     else:
         flat = cv2.divide(frame, cv2.max(image, np.array([1.0])), scale=LEVEL)
-    light = guess_background(flat, *tile_statistics(flat), bright_ridges, envelope)
-    if bright_ridges:
-        return cv2.addWeighted(image, 1.0, light, 1.0, -BRIGHT_LEVEL)
-    return cv2.multiply(image, light, scale=1.0 / LEVEL)
+    guess = guess_background(flat, *tile_statistics(flat), bright_ridges, envelope)
+    half = cv2.resize(flat, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    fill = cv2.MORPH_OPEN if bright_ridges else cv2.MORPH_CLOSE
+    size = max(3, envelope // 2 | 1)
+    filled = cv2.resize(
+        cv2.morphologyEx(half, fill, np.ones((size, size), np.uint8)), flat.shape[::-1]
+    )
+    flooded = cv2.subtract(filled, guess) if bright_ridges else cv2.subtract(guess, filled)
+    return np.where(flooded > FLOODED, guess, filled)
 
 
 def tile_means(frame: np.ndarray) -> np.ndarray:
@@ -296,12 +327,12 @@ def smooth_tiles(deviation: np.ndarray) -> np.ndarray:
 def plate_tiles(deviation: np.ndarray) -> np.ndarray:
     """Mask (rows, columns) of tiles that are plate.
 
-    They are smooth and connected with the image's border by smooth ones. A part of a print that is
-    filled with sweat is smooth too, but enclosed by ridges.
+    They are smooth and connected with the image's border by sides of smooth ones. A part of a print
+    that is filled with sweat is smooth too, but enclosed by ridges.
     """
     smooth = smooth_tiles(deviation).astype(np.uint8)
     _, labels = cv2.connectedComponents(
-        cv2.copyMakeBorder(smooth, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
+        cv2.copyMakeBorder(smooth, 1, 1, 1, 1, cv2.BORDER_REPLICATE), connectivity=4
     )
     edge = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
     return np.isin(labels[1:-1, 1:-1], np.setdiff1d(edge, [0]))
@@ -392,15 +423,8 @@ def guess_background(
     tiles is used.
     """
     height, width = frame.shape
-    half = cv2.resize(frame, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
-    size = max(3, envelope // 2 | 1)
-    kernel = np.ones((size, size), np.uint8)
-    reached = cv2.erode(half, kernel) if bright_ridges else cv2.dilate(half, kernel)
-    grid = tile_grid(frame)
-    level: np.ndarray = cv2.resize(reached, grid, interpolation=cv2.INTER_AREA).astype(np.float32)
     sign = -1.0 if bright_ridges else 1.0
-    # The envelope of noise lies about 1.5 standard deviations of a half-size pixel above its mean.
-    level -= sign * 0.75 * float(np.percentile(deviation, 10))
+    level = _reached(frame, deviation, bright_ridges, envelope)
     plate = plate_tiles(deviation)
     level[plate] = mean[plate]
     surface = _surface(level, plate, sign) if not plate.all() else level
@@ -410,6 +434,22 @@ def guess_background(
     level = cv2.blur(level.astype(np.float32), (3, 3), borderType=cv2.BORDER_REPLICATE)
     fitted = cv2.resize(level, (width, height), interpolation=cv2.INTER_LINEAR)
     return cv2.convertScaleAbs(fitted)
+
+
+def _reached(
+    frame: np.ndarray, deviation: np.ndarray, bright_ridges: bool, envelope: int
+) -> np.ndarray:
+    """Greys (rows, columns) that tiles of a frame reach within `envelope` working pixels: the plate
+    in the furrows."""
+    height, width = frame.shape
+    half = cv2.resize(frame, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
+    size = max(3, envelope // 2 | 1)
+    kernel = np.ones((size, size), np.uint8)
+    reached = cv2.erode(half, kernel) if bright_ridges else cv2.dilate(half, kernel)
+    level: np.ndarray = cv2.resize(reached, tile_grid(frame), interpolation=cv2.INTER_AREA)
+    # The envelope of noise lies about 1.5 standard deviations of a half-size pixel above its mean.
+    noise = 0.75 * float(np.percentile(deviation, 10))
+    return level.astype(np.float32) + (noise if bright_ridges else -noise)
 
 
 def _surface(level: np.ndarray, plate: np.ndarray, sign: float) -> np.ndarray:

@@ -20,12 +20,13 @@ import numpy as np
 
 from finger_common.errors import InputError
 from finger_common.flags import AreaFlag
-from finger_common.mono8 import Mono8
+from finger_common.mono8 import Mono8, OneChannel
 from finger_common.settings import Settings, setting
 
 from .area_sensor import AreaSensor, ContactMeasurement, NoLight
 from .background import POLARITIES, LearnedBackground, background_of, tile_means
 from .calibration import PlateCalibration
+from .lost_pixels import has_lost_pixels
 from .outline import Shape, closed_outline, convex_corners, shifted, widened
 from .regions import Followed
 from .ridges import Ridges, contrast_of, find_ridges
@@ -51,6 +52,15 @@ GREYS = 0.6
 """Between these it counts as cut off where the ridges show more than this share of the greys beyond
 it: 0.60 or more in real prints that were darkened later, up to 0.75 in rendered frames, under 0.35
 in drawn ones."""
+
+DIM = 30.0
+"""Greys of a plate below which dark ridges are lost in noise: of dry skin at 25, not at 30."""
+
+WHITE = 0.9
+"""Share of white pixels above which a picture is overexposed, where the learned plate was not."""
+
+UNSURE = 1.2
+"""Deviation where it is not known whether a plate was cut off, over that of one that was."""
 
 ONE_GREY = 0.2
 """Standard deviation of the saturated share of the plate above which the area is in doubt."""
@@ -165,6 +175,8 @@ class FtirSegmenter(AreaSensor):
         self._mono8 = Mono8(dark=self.settings.polarity == "bright")
         self._grid: WorkingGrid | None = None
         self._followed: Followed | None = None
+        self._pale = False
+        """Whether the last frame without contact shows a print that is too pale."""
         self._size: tuple[int, int] | None = None
         """(width, height) of the frames since the last reset."""
 
@@ -179,13 +191,15 @@ class FtirSegmenter(AreaSensor):
         self._followed = None
 
     def reset(self) -> None:
-        """Forget the background, the finger that is followed and the size of the frames."""
+        """Forget the background, the finger that is followed, the size of the frames and the
+        channel of a colour camera."""
         self._background.clear()
+        self._mono8.colour = OneChannel()
         self._followed = self._size = None
 
     def measure(self, signal: np.ndarray) -> ContactMeasurement:
         """The contact in a frame (H, W); raises InputError for one that cannot be used, NoLight for
-        one much darker than the background.
+        one much darker than the background, blank or overexposed.
         """
         return self._measure(*self._reduced(signal))[0]
 
@@ -194,10 +208,10 @@ class FtirSegmenter(AreaSensor):
         frame, grid = self._reduced(signal)
         measurement, bright_ridges = self._measure(frame, grid)
         if measurement.flags & AreaFlag.NO_CONTACT:
-            if measurement.flags & AreaFlag.NO_BACKGROUND:
-                # There was none, or one that was learned before the light was on.
+            if measurement.flags & AreaFlag.NO_BACKGROUND or self._learned_one_grey(frame):
+                # There was none, or one that was learned before the light was on, or no picture.
                 self._background.clear()
-            if not measurement.flags & AreaFlag.LOW_CONTRAST:
+            if not self._pale:
                 self._background.add(frame)
         elif not bright_ridges or self.settings.polarity == "bright":
             # Sweat that was learned and then wiped off is dark: among bright ridges that are not
@@ -206,7 +220,11 @@ class FtirSegmenter(AreaSensor):
         return measurement
 
     def _reduced(self, signal: np.ndarray) -> tuple[np.ndarray, WorkingGrid]:
+        channel = self._mono8.colour.channel
         image = self._mono8(signal)
+        if channel not in (None, self._mono8.colour.channel):
+            self._background.clear()
+            self._followed = None
         size = (image.shape[1], image.shape[0])
         self.calibration.check_size(*size)
         if self._size is not None and self._size != size:
@@ -220,6 +238,14 @@ class FtirSegmenter(AreaSensor):
                 size, self.calibration, self.settings.working_pixel, self.settings.ridge_period
             )
         self._size = size
+        plate = self._background.image
+        if plate is not None and plate.shape != self._grid.shape:
+            plate = None
+        if has_lost_pixels(image, plate, self._grid):
+            raise InputError(
+                "the image is incomplete: rows, or long parts of them, are exactly black; look for "
+                "lost packets (network, USB bandwidth), or lower the rate of the camera"
+            )
         return self._grid.reduce(image), self._grid
 
     def _measure(self, frame: np.ndarray, grid: WorkingGrid) -> tuple[ContactMeasurement, bool]:
@@ -229,6 +255,11 @@ class FtirSegmenter(AreaSensor):
         if not background.lit:
             raise NoLight(
                 "the plate is dark, and contacts are not seen; check light, lens and exposure"
+            )
+        if background.learned and self._is_blank(frame):
+            raise NoLight(
+                "the picture is blank or overexposed, and contacts are not seen; check camera, "
+                "light and exposure"
             )
         frame = background.frame
         contrast, noise = contrast_of(background)
@@ -253,10 +284,12 @@ class FtirSegmenter(AreaSensor):
         smallest = max(settings.minimum_area, 0.0 if background.learned else GUESSED_MINIMUM)
         if ridges is None or outlined is None or outlined[0].area < smallest:
             flags |= AreaFlag.NO_CONTACT
-            if not background.learned and self._is_pale(contrast, noise, grid):
-                flags |= AreaFlag.LOW_CONTRAST
-            else:
+            self._pale = not background.learned and self._is_pale(contrast, noise, grid)
+            if not self._pale:
                 self._followed = None
+            dim = float(np.median(tile_means(background.image))) < DIM
+            if self._pale or (dim and settings.polarity != "bright"):
+                flags |= AreaFlag.LOW_CONTRAST
             return ContactMeasurement(flags=int(flags)), background.bright_ridges
         self._followed = ridges.followed
         shape, real_area, hull, doubt = outlined
@@ -342,6 +375,20 @@ class FtirSegmenter(AreaSensor):
         ridges = find_ridges(contrast, noise, False, contrast_needed, grid)
         return ridges is not None and (cv2.countNonZero(ridges.region) * grid.pitch**2 > PALE_AREA)
 
+    def _is_blank(self, frame: np.ndarray) -> bool:
+        """Whether a working image shows nothing of the learned plate: it is of one grey, or nearly
+        all white, and the plate is not."""
+        plate = self._background.image
+        assert plate is not None
+        if cv2.countNonZero(cv2.inRange(frame, 255, 255)) > WHITE * frame.size:
+            return float(np.median(plate)) < 255
+        return _is_of_one_grey(frame) and not _is_of_one_grey(plate)
+
+    def _learned_one_grey(self, frame: np.ndarray) -> bool:
+        """Whether pictures of one grey alone were learned, and a working image is another."""
+        plate = self._background.image
+        return plate is not None and _is_of_one_grey(plate) and not _is_of_one_grey(frame)
+
     def _is_clipped(self, hull: np.ndarray, grid: WorkingGrid) -> bool:
         """Whether the outline comes within a ridge period of the image's border.
 
@@ -389,6 +436,11 @@ def ellipse_deviations(
     return share * math.sqrt(a * b / 2), shape.major * axis, shape.minor * axis, angle
 
 
+def _is_of_one_grey(image: np.ndarray) -> bool:
+    low, high = cv2.minMaxLoc(image)[:2]
+    return bool(low == high)
+
+
 def _pixels_in(corners: np.ndarray) -> float:
     """Area of a hull (n, 2) in pixels, pixels²."""
     return cv2.contourArea(corners.astype(np.float32)) if len(corners) else 0.0
@@ -420,10 +472,11 @@ def _saturated_share(frame: np.ndarray, ridges: Ridges, bright_ridges: bool) -> 
     end = float(np.searchsorted(below, (0.005 if bright_ridges else 0.995) * pixels))
     at_end = cv2.bitwise_and(cv2.compare(part, np.array([end]), cv2.CMP_EQ), around)
     share = cv2.countNonZero(at_end) / pixels
+    # What was hidden differs from print to print by as much as the margin for it.
     if not CUT_OFF[0] < end < CUT_OFF[1]:
-        return share, 0.5 * share
+        return share, share
     greys = cv2.countNonZero(cv2.calcHist([part], [0], ridges.touching, [256], [0, 256]))
-    return (share if greys > GREYS * abs(end - 255 * bright_ridges) else 0.0), share
+    return (share if greys > GREYS * abs(end - 255 * bright_ridges) else 0.0), UNSURE * share
 
 
 def _is_saturated(frame: np.ndarray, ridges: Ridges) -> bool:

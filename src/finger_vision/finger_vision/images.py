@@ -12,13 +12,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from finger_common.errors import InputError
 from finger_common.files import exists
 from finger_common.image_files import decode_image
 from finger_common.image_size import MAX_PIXELS
-from finger_common.mono8 import as_mono8, brightest_channel
+from finger_common.mono8 import as_mono8
 from finger_common.plugins import Plugins
 
 BAG_ENDINGS = (".mcap", ".db3", ".bag")
@@ -26,17 +27,35 @@ BAG_ENDINGS = (".mcap", ".db3", ".bag")
 IMAGE_SOURCES = Plugins("finger_vision.image_source", "reader of images")
 """What reads files other than images; finger_offline brings the one named "bag"."""
 
-PLAIN = {
-    "mono8": "u1",
-    "8UC1": "u1",
-    "mono16": "u2",
-    "16UC1": "u2",
-    "32FC1": "f4",
+MOSAICS = {
+    f"bayer_{pattern}{bits}": code
+    for bits in (8, 16)
+    for pattern, code in (
+        ("rggb", cv2.COLOR_BayerBG2BGR),
+        ("bggr", cv2.COLOR_BayerRG2BGR),
+        ("gbrg", cv2.COLOR_BayerGR2BGR),
+        ("grbg", cv2.COLOR_BayerGB2BGR),
+    )
 }
-"""Encoding of one channel -> type of a value."""
+"""Encoding of a colour mosaic -> OpenCV's conversion."""
 
-COLOUR = {"bgr8": 3, "rgb8": 3, "bgra8": 4, "rgba8": 4, "8UC3": 3, "8UC4": 4}
-"""Encoding of several channels of 8 bit -> their number."""
+LUMA = {"yuv422": 1, "uyvy": 1, "yuv422_yuy2": 0, "yuyv": 0}
+"""Encoding of luma and chroma by turns -> place of the luma."""
+
+PICTURES = {
+    **dict.fromkeys(("mono8", "8UC1"), ("u1", 1)),
+    **dict.fromkeys(("mono16", "16UC1"), ("u2", 1)),
+    **dict.fromkeys(("bgr8", "rgb8", "8UC3"), ("u1", 3)),
+    **dict.fromkeys(("bgra8", "rgba8", "8UC4"), ("u1", 4)),
+    **dict.fromkeys(("bgr16", "rgb16", "16UC3"), ("u2", 3)),
+    **dict.fromkeys(("bgra16", "rgba16", "16UC4"), ("u2", 4)),
+    **dict.fromkeys(LUMA, ("u1", 2)),
+    **{name: ("u2" if name.endswith("16") else "u1", 1) for name in MOSAICS},
+}
+"""Encoding of a picture -> type of a value, and number of values of a pixel."""
+
+ENCODINGS = {**PICTURES, "32FC1": ("f4", 1)}
+"""The same with those of other signals than pictures."""
 
 
 def decode(
@@ -48,25 +67,22 @@ def decode(
     bigendian: bool = False,
     where: str = "image",
 ) -> np.ndarray:
-    """(H, W) uint8, uint16 or float32 from the fields of a sensor_msgs/Image.
+    """(H, W) uint8, uint16 or float32, or (H, W, channels), from the fields of a sensor_msgs/Image.
 
-    One channel of 8 bit, 16 bit or 32-bit float comes as sent; no copy is made for 8 bit. Colour
-    of 8 bit becomes grey. Raises InputError for a zero size, an unknown encoding or too few bytes.
+    Values come as sent; no copy is made for mono8. Of luma and chroma the luma is given, and a
+    mosaic becomes three channels. Raises InputError for a zero size, an unknown encoding or too few
+    bytes.
     """
     if height <= 0 or width <= 0:
         raise InputError(f"{where}: image is {width}×{height}, a size above zero is needed")
     if height * width > MAX_PIXELS:
         raise InputError(f"{where}: image of {width}×{height} is too large; bin or crop it")
-    if encoding in PLAIN:
-        kind, channels = np.dtype(PLAIN[encoding]), 1
-    elif encoding in COLOUR:
-        kind, channels = np.dtype("u1"), COLOUR[encoding]
-    else:
-        known = ", ".join([*PLAIN, *COLOUR])
+    if encoding not in ENCODINGS:
         raise InputError(
-            f"{where}: encoding '{encoding}' is not supported; set the camera to mono8 "
-            f"(known: {known})"
+            f"{where}: encoding '{encoding[:40]}' is not supported; set the camera to mono8 "
+            f"(known: {', '.join(PICTURES)})"
         )
+    kind, channels = np.dtype(ENCODINGS[encoding][0]), ENCODINGS[encoding][1]
     row = width * channels * kind.itemsize
     step = step or row
     raw = np.frombuffer(data, np.uint8) if not isinstance(data, np.ndarray) else data.view(np.uint8)
@@ -78,13 +94,18 @@ def decode(
     rows = np.lib.stride_tricks.as_strided(
         raw.reshape(-1), (height, row), (step, 1), writeable=False
     )
+    if encoding in LUMA:
+        return np.ascontiguousarray(rows[:, LUMA[encoding] :: 2])
     if kind.itemsize > 1:
         sent = np.ascontiguousarray(rows).view(kind.newbyteorder(">" if bigendian else "<"))
-        return sent.astype(kind)
+        rows = sent.astype(kind)
+    if encoding in MOSAICS:
+        if min(height, width) < 3:
+            raise InputError(f"{where}: a colour mosaic of {width}×{height} is too small")
+        return cv2.cvtColor(np.ascontiguousarray(rows), MOSAICS[encoding])
     if channels == 1:
         return rows
-    pixels = np.ascontiguousarray(rows).reshape(height, width, channels)
-    return brightest_channel(pixels)
+    return np.ascontiguousarray(rows).reshape(height, width, channels)
 
 
 def read_signal(path: str | Path) -> np.ndarray:

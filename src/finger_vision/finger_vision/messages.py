@@ -14,7 +14,7 @@ from .images import decode
 
 
 def image_of(message: Any) -> np.ndarray:
-    """(H, W) array from a sensor_msgs/Image, as `images.decode` gives it.
+    """(H, W) or (H, W, channels) array from a sensor_msgs/Image, as `images.decode` gives it.
 
     Raises InputError with the reason when it cannot be used.
     """

@@ -114,6 +114,14 @@ FINEST = 0.06
 NOISE = 5.0
 """Least threshold, over the motion of standing skin from image to image. That motion is noise."""
 
+FIRST_NOISE, STANDS = 0.05, 0.3
+"""Noise before any skin was seen to stand, pixels of the flow: a camera with noise of 10 greys has
+so much. And the least share of the points that have not slipped from which the noise may grow."""
+
+COARSE, ROLLED = 4, 0.5
+"""Pixels from one to the next that tell which skin was there when a contact began; and deviation of
+the stick ratio when all of it has rolled away and other skin has come (rendered frames)."""
+
 FLAT, FLAT_OF_STRONG = 0.5, 0.35
 """Shares of the median strength of a contact's texture, and of that of its strongest tenth, below
 which a patch has too little to be followed."""
@@ -173,7 +181,9 @@ class RidgeMotion:
         self._slip, self._rotation = np.zeros(2), 0.0
         self._failed = 0
         self._area = 0.0
-        self._noise = math.inf
+        self._first: np.ndarray | None = None
+        self._begin = np.zeros(2)
+        self._noise = FIRST_NOISE
 
     def follow(self, image: np.ndarray, contact: ContactMeasurement) -> SkinMotion:
         """Motion of the skin up to an image (H, W), whose contact was measured.
@@ -209,6 +219,7 @@ class RidgeMotion:
         if jumped or not len(self.points):
             # So fast ridges come and widen only while the normal force changes.
             self.points, self._keys, self._turns = np.zeros(0, POINT), {}, {}
+            self._first, self._begin = _coarse(mask), self._slip.copy()
             self._renew(texture, strength, mask, area)
             self._before = texture
             return self._unknown()
@@ -414,9 +425,10 @@ class RidgeMotion:
         points = self.points
         good, travel = in_newest(points), points["travel"]
         if good.any():
-            # Of the slowest skin: what moves slips.
+            # Of the slowest skin: what moves slips. Where nearly all has slipped, all may move.
             quiet = np.hypot(*(travel - before).T) / points["noise"]
-            self._noise = min(float(np.percentile(quiet[good], 30)), 1.1 * self._noise)
+            growth = 1.1 if np.mean(~points["slipped"][good]) > STANDS else 1.0
+            self._noise = min(float(np.percentile(quiet[good], 30)), growth * self._noise)
         limits = np.maximum(self.threshold / self._pitch, NOISE * self._noise * points["noise"])
         limit = float(np.median(limits[good])) if good.any() else float(np.median(limits))
         change = area - points["area"]
@@ -464,9 +476,21 @@ class RidgeMotion:
         return replace(
             self._unknown(),
             stick_ratio=round(ratio, 3),
-            stick_ratio_sd=math.hypot(sd, 0.3 * (1.0 - share)),
+            stick_ratio_sd=math.hypot(sd, 0.3 * (1.0 - share), ROLLED * self._exchanged(mask)),
             sliding=ratio < 0.02 and now > MOVES * limit,
         )
+
+    def _exchanged(self, mask: np.ndarray) -> float:
+        """Share of the skin in the contact that came since it began, while as much left, as when a
+        finger rolls. Neither growth nor a slide of the same skin adds to it."""
+        assert self._ridges is not None and self._first is not None
+        now, first = _coarse(mask), self._first
+        slip = np.array([self._slip - self._begin])
+        shift = self._ridges.from_plate(slip) - self._ridges.from_plate(np.zeros((1, 2)))
+        matrix = np.column_stack([np.eye(2), shift[0] / COARSE])
+        moved = cv2.warpAffine(first, matrix, first.shape[::-1])
+        smaller = min(cv2.countNonZero(first), cv2.countNonZero(now))
+        return 1.0 - cv2.countNonZero(cv2.bitwise_and(moved, now)) / max(smaller, 1)
 
     def _stick_ratio(
         self, good: np.ndarray, noise: np.ndarray, mask: np.ndarray
@@ -510,6 +534,11 @@ class RidgeMotion:
         step = now - self._ridges.to_plate(place - moved)
         self._slip += step.mean(axis=0)
         self._rotation += _rotation(now, step)
+
+
+def _coarse(mask: np.ndarray) -> np.ndarray:
+    """Every COARSE-th pixel of a mask (h, w) both ways."""
+    return np.ascontiguousarray(mask[::COARSE, ::COARSE])
 
 
 def _rotation(places: np.ndarray, moved: np.ndarray) -> float:

@@ -5,7 +5,8 @@
 
 `contact_image` shows the measured contact; it is drawn only while it has subscribers. Images are
 measured in a thread of their own, always the newest: an older image that was not begun is dropped
-and counted. An image that cannot be used is refused with the reason, and the next one is measured.
+and counted, as is one whose stamp is not after those before, and one that equals the one before. An
+image that cannot be used is refused with the reason, and the next one is measured.
 """
 
 from __future__ import annotations
@@ -19,7 +20,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import cv2
-import numpy as np
 from geometry_msgs.msg import Point, Point32, Vector3
 from lifecycle_msgs.srv import GetState
 from sensor_msgs.msg import Image
@@ -29,17 +29,17 @@ from finger_common.diagnostics import WARN, Health
 from finger_common.errors import FingerError
 from finger_common.files import await_file
 from finger_common.flags import AreaFlag
-from finger_common.mono8 import in_low_bits
 from finger_common.node import FrameSettings, ManagedNode, main_of
 from finger_common.settings import setting
 from finger_common.stamps import NANOSECONDS, stamp_of
 from finger_msgs.msg import ContactArea
 
-from .area_sensor import AREA_SENSORS, ContactMeasurement, NoLight, SensorDefect, measured
+from .area_sensor import AREA_SENSORS, ContactMeasurement, NoLight, SensorDefect
 from .calibration import CalibrationSettings
+from .camera_stream import CameraStream, LeftOut
 from .messages import contact_area_fields, image_of
 from .overlay import draw_overlay
-from .ridge_motion import DEFAULT_RIDGE_PERIOD, RidgeMotion, RidgeMotionSettings, with_motion
+from .ridge_motion import DEFAULT_RIDGE_PERIOD, RidgeMotion, RidgeMotionSettings
 
 SILENCE = 2.0
 """s without an image, while somebody publishes them, after which it is said."""
@@ -52,8 +52,11 @@ its real area: noise of 8 greys changes that of marks by 0 to 2.9 %."""
 DARK_IMAGES = 100
 """16-bit images in the lower bits, and none in the upper ones, after which it is said."""
 
+FROZEN = 3
+"""Images in a row that equal the one before, from which on the camera counts as frozen."""
+
 PALE_PRINT = AreaFlag.NO_CONTACT | AreaFlag.LOW_CONTRAST
-"""Flags of an image without contact that shows a print all the same."""
+"""Flags of an image in which no contact was found, and one may be all the same."""
 
 
 @dataclass(frozen=True)
@@ -103,17 +106,18 @@ class VisionNode(ManagedNode):
         self._learn = self.values["learn_background"]
         following = self.settings(RidgeMotionSettings)
         period = self.values.get("ridge_period", DEFAULT_RIDGE_PERIOD)
-        self._motion = (
+        motion = (
             RidgeMotion(following, self.calibration, period) if following.ridge_motion else None
         )
+        self._stream = CameraStream(self.sensor, motion)
+        self._told_dropped = self._told_unstamped = 0
+        """Numbers of images with wrong stamps, and without one, that were told until now."""
         self._still: tuple[int, ContactMeasurement] | None = None
         """Stamp (ns) of the contact that has not changed since then, and itself."""
         self._stands = False
         """Whether a contact has not changed for long, and no background was learned."""
         self._take_plate = False
         """Whether the next image shows the plate, whatever contact is seen in it."""
-        self._dark: int | None = 0
-        """Number of images in the lower bits; None once one has used the upper ones."""
         self.health = Health("vision")
         self.healths = [self.health]
         self._lock = threading.Lock()
@@ -162,6 +166,11 @@ class VisionNode(ManagedNode):
         if not self._first:
             self._intervals.append(now - self._heard)
         self._heard, self._first = now, False
+        try:
+            self._stream.order.check(stamp_of(message.header.stamp))
+        except LeftOut:
+            self.health.count("out_of_order")
+            return
         if self._replace(message):
             self.health.count("dropped")
 
@@ -177,6 +186,11 @@ class VisionNode(ManagedNode):
         for message in iter(newest.get, None):
             try:
                 self._measure(message)
+            except LeftOut:
+                self.health.count("repeated")
+                if self._stream.repeats.in_a_row >= FROZEN:
+                    text = "the camera, or its driver, repeats the same image; restart it"
+                    self.log_fault(self.health, "frozen", text)
             except NoLight as error:
                 self.health.count("refused")
                 self.log_fault(self.health, "light", str(error))
@@ -193,15 +207,14 @@ class VisionNode(ManagedNode):
                     self.log_fault(self.health, "failure", f"{type(error).__name__}: {error}")
 
     def _measure(self, message: Image) -> None:
-        image = image_of(message)
-        self._check_bits(image)
         with self._lock:
+            image = self._stream.signal(image_of(message))
+            self.health.recovered("frozen")
+            self._check_bits()
             if self._take_plate:
                 self.sensor.learn(image)
                 self._take_plate = False
-            measurement = with_motion(
-                measured(self.sensor, image, self._learn), image, self._motion
-            )
+            measurement = self._stream.measure(image, self._learn)
             learned = self.sensor.learned
         area = contact_area_message(contact_area_fields(measurement))
         area.header.stamp = message.header.stamp
@@ -237,12 +250,13 @@ class VisionNode(ManagedNode):
         self._stands = False
         if measurement.flags & PALE_PRINT == PALE_PRINT:
             return (
-                "a print is too pale to be measured, or an earlier one lies on the plate; check "
-                "light and focus, or clean the plate"
+                "no contact can be seen: the plate is too dark, a print is too pale, or an earlier "
+                "one lies on the plate; check light, exposure and focus, or clean the plate (set "
+                "polarity to bright for a plate that is dark by design)"
             )
         if measurement.flags & AreaFlag.NO_CONTACT:
             return ""
-        if still is None or not _unchanged(measurement, still[1]):
+        if still is None or stamp < still[0] or not _unchanged(measurement, still[1]):
             still = stamp, measurement
         self._still = still
         if stamp - still[0] <= STILL:
@@ -260,27 +274,45 @@ class VisionNode(ManagedNode):
             "presses, sweat or dirt counts as one: clean the plate, then call ~/reset"
         )
 
-    def _check_bits(self, image: np.ndarray) -> None:
+    def _check_bits(self) -> None:
         """Warn of images that have used the lower of 16 bits only; a dark plate may do so, too."""
-        if image.dtype != np.uint16 or self._dark is None:
-            return
-        if not in_low_bits(image):
-            if image.any():
-                self._dark = None
-                self.health.recovered("bits")
-            return
-        self._dark += 1
-        if self._dark > DARK_IMAGES:
+        if self._stream.dark_images > DARK_IMAGES:
             text = (
-                f"no value of {DARK_IMAGES} 16-bit images is above 4095 of 65535: 10- or 12-bit "
-                "pixels in the lower bits? Shift them to the upper bits, or set the camera to 8 "
-                "bits, else contacts are not seen"
+                f"no value of {DARK_IMAGES} 16-bit images is above {self._stream.brightest} of "
+                "65535: 10- or 12-bit pixels in the lower bits, or very little light? Use the "
+                "upper bits, or set the camera to 8 bits, else contacts are not seen"
             )
             self.log_fault(self.health, "bits", text, WARN)
+        else:
+            self.health.recovered("bits")
+
+    def _check_stamps(self) -> None:
+        """Warn of stamps that were wrong since the last call."""
+        order = self._stream.order
+        for key, wrong, text in (
+            (
+                "stamps",
+                order.dropped > self._told_dropped,
+                "stamps of images are not after those before, and these images are dropped; are "
+                "there two cameras on this topic, or a driver that stamps wrongly?",
+            ),
+            (
+                "no_stamp",
+                order.unstamped > self._told_unstamped,
+                "images have no stamp (zero), and their areas fit no force; let the camera's "
+                "driver stamp them",
+            ),
+        ):
+            if wrong:
+                self.log_fault(self.health, key, text, WARN)
+            else:
+                self.health.recovered(key)
+        self._told_dropped, self._told_unstamped = order.dropped, order.unstamped
 
     def publish_diagnostics(self) -> None:
-        """Warn while images are published and none, or few, come."""
+        """Warn of stamps, and while images are published and none, or few, come."""
         if self.active:
+            self._check_stamps()
             text = self._silence()
             if text:
                 self.log_fault(self.health, "no_image", text, WARN)
@@ -328,9 +360,7 @@ class VisionNode(ManagedNode):
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         with self._lock:
-            self.sensor.reset()
-            if self._motion is not None:
-                self._motion.reset()
+            self._stream.reset()
             self._take_plate = self._stands
             self._still, self._stands = None, False
         response.success = True

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import queue
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -189,6 +190,93 @@ def test_images_in_the_lower_bits_are_said_where_a_dark_plate_is_allowed(
         assert not said(deep << 4)
 
 
+def test_eight_bits_in_the_middle_of_16_are_said(
+    ros_domain: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """8-bit values times 16: neither the lowest nor the highest four bits are used."""
+    from finger_vision import vision_node
+
+    monkeypatch.setattr(vision_node, "DARK_IMAGES", 3)
+    renderer = FtirRenderer("natural", seed=8, scene=Scene(latent=0.0), width=640, height=480)
+    with node_here(ros_domain) as node:
+        assert node.bring_up()
+        for _ in range(4):
+            assert "bits" not in node.health.faults
+            deep = renderer.empty().astype(np.uint16) << 4
+            node._measure(stamped(deep, 1, "mono16"))
+        assert "in the lower bits" in node.health.faults["bits"]
+        assert "too dark" in node.health.faults["contrast"]
+
+
+def stamped(picture: np.ndarray, stamp_ns: int, encoding: str = "mono8") -> Image:
+    """Image message of a picture (h, w), stamped."""
+    height, width = picture.shape
+    image = Image(height=height, width=width, encoding=encoding, step=picture.strides[0])
+    image.header.stamp.sec, image.header.stamp.nanosec = divmod(stamp_ns, 10**9)
+    image.data = picture.tobytes()
+    return image
+
+
+def test_a_frozen_camera_gives_the_same_areas_live_and_offline_and_is_told(
+    ros_domain: int, tmp_path: Path
+) -> None:
+    """New stamps on the same pixels are no new areas."""
+    from finger_common.image_size import PixelBudget
+    from finger_offline.image_areas import ImageAreas
+    from finger_vision.ftir import FtirSegmenter
+
+    renderer = FtirRenderer("natural", seed=3, scene=Scene(), width=640, height=480)
+    renderer.calibration().save(tmp_path / "plate.yaml")
+    pictures = [renderer.empty() for _ in range(5)]
+    pictures += [renderer.render(1e-3 * radius) for radius in (2, 3, 4)]
+    pictures += pictures[-1:] * 20
+    images = [stamped(p, 10**12 + k * 10**8) for k, p in enumerate(pictures)]
+    offline = ImageAreas(FtirSegmenter(calibration=renderer.calibration()), PixelBudget(1 << 30))
+    for image in images:
+        stamp = image.header.stamp.sec * 10**9 + image.header.stamp.nanosec
+        offline.add(SimpleNamespace(message=image, log_time_ns=stamp), stamp)
+    with node_here(ros_domain, calibration_file=str(tmp_path / "plate.yaml")) as node:
+        assert node.bring_up()
+        areas: list[ContactArea] = []
+        node._areas = SimpleNamespace(publish=areas.append)
+
+        def work(images: list[Image]) -> None:
+            waiting: queue.Queue[Image | None] = queue.Queue()
+            for image in [*images, None]:
+                waiting.put(image)
+            node._work(waiting)
+
+        work(images[:9])
+        assert "frozen" not in node.health.faults
+        work(images[9:])
+        report = node.health.report()
+        assert report.level == 2 and "repeats the same image" in report.message
+        assert report.values["repeated"] == "20"
+        live = [(a.gross_area, a.area_stddev, a.flags) for a in areas]
+        found = offline.table()
+        assert live == list(zip(found["area"], found["sd"], found["flags"]))
+        assert len(live) == 8
+        work([stamped(renderer.render(4e-3), 10**12 + 10**10)])
+        assert "frozen" not in node.health.faults and len(areas) == 9
+
+
+def test_stamps_that_are_not_in_order_are_dropped_and_told(ros_domain: int) -> None:
+    picture = FtirRenderer("natural", seed=3, width=640, height=480).empty()
+    with node_here(ros_domain) as node:
+        assert node.bring_up()
+        taken: list[int] = []
+        node._replace = lambda image: image and taken.append(image.header.stamp.sec)
+        for second in (1000, 1001, 1001, 1000, 1002, 10, 11, 0, 12):
+            node._on_image(stamped(picture, second * 10**9))
+        assert taken == [1000, 1001, 1002, 10, 11, 0, 12]
+        node.publish_diagnostics()
+        assert "not after those before" in node.health.faults["stamps"]
+        assert "no stamp (zero)" in node.health.faults["no_stamp"]
+        assert node.health.report().values["out_of_order"] == "2"
+        node.publish_diagnostics()
+        assert not {"stamps", "no_stamp"} & set(node.health.faults)
+
+
 def test_a_burst_is_answered_with_its_newest_frame_and_the_rest_is_counted(peer) -> None:
     reports: list[DiagnosticArray] = []
     peer.node.create_subscription(DiagnosticArray, "/diagnostics", reports.append, 10)
@@ -225,14 +313,18 @@ def test_overlay_is_drawn_while_it_has_subscribers(peer) -> None:
     pictures: list[Image] = []
     frame = peer.image(renderer.render(4e-3), 1)
     peer.ask(frame)
+    stamped = [frame.header.stamp.sec]
     subscription = peer.node.create_subscription(Image, "contact_image", pictures.append, peer.qos)
 
     def answered() -> bool:
+        frame.header.stamp.sec += 1
+        stamped.append(frame.header.stamp.sec)
         peer.images.publish(frame)
         return bool(pictures)
 
     assert peer.wait(answered)
-    assert pictures[0].header.stamp == frame.header.stamp
+    assert pictures[0].header.stamp.sec in stamped
+    assert pictures[0].header.stamp.nanosec == frame.header.stamp.nanosec
     assert pictures[0].encoding == "bgr8"
     assert (pictures[0].width, pictures[0].height) == (1280, 1024)
     peer.node.destroy_subscription(subscription)

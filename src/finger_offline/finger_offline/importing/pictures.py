@@ -17,11 +17,10 @@ import numpy as np
 from finger_common.errors import InputError
 from finger_common.files import bounded_memory
 from finger_common.image_size import VIDEO_PIXELS_PER_BYTE, PixelBudget, check_claim
-from finger_common.mono8 import as_mono8
+from finger_common.mono8 import LEAST_BRIGHTEST, Mono8
 from finger_common.stamps import NANOSECONDS, nanoseconds
 from finger_vision.images import read_signal, silent_libraries
 
-from ..image_areas import LEAST_BRIGHTEST
 from .cells import stamp_of
 from .series import AREA, time_unit_of
 from .settings import ImportSettings
@@ -94,7 +93,7 @@ def frames_of(settings: ImportSettings, problems: list[str]) -> tuple[Iterator[F
 def _images(times: Times, files: list[Path], where: str, problems: list[str]) -> Iterator[Frame]:
     pixels = PixelBudget(sum(file.stat().st_size for file in files))
     shape: tuple[int, ...] | None = None
-    brightest = 0
+    brightest, mono8 = 0, Mono8()
     for number, (stamp, file) in enumerate(zip(times.ns, files)):
         if pixels.spent:
             problems.append(_left_out(where, number, "images"))
@@ -102,7 +101,7 @@ def _images(times: Times, files: list[Path], where: str, problems: list[str]) ->
         signal = read_signal(file)
         if signal.dtype == np.uint16:
             brightest = max(brightest, int(signal.max(initial=0)))
-        image = as_mono8(signal, str(file))
+        image = mono8(signal, str(file))
         if shape not in (None, image.shape):
             raise InputError(
                 f"{file}: has {image.shape[1]} × {image.shape[0]} pixels, the images before have "
@@ -256,7 +255,7 @@ def _video(settings: ImportSettings, times: Times | None, problems: list[str]) -
     pixels = PixelBudget(size, VIDEO_PIXELS_PER_BYTE)
     expected = video.get(cv2.CAP_PROP_FRAME_COUNT)
     rate = settings.frame_rate or video.get(cv2.CAP_PROP_FPS)
-    number, last = 0, -1
+    number, last, mono8 = 0, -1, Mono8()
     try:
         while True:
             if pixels.spent:
@@ -284,7 +283,7 @@ def _video(settings: ImportSettings, times: Times | None, problems: list[str]) -
                         )
                     stamp = nanoseconds(number / rate)
             last = stamp
-            yield stamp, as_mono8(image, name)
+            yield stamp, mono8(image, name)
             number += 1
     finally:
         video.release()

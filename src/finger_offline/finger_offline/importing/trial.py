@@ -27,9 +27,10 @@ from finger_common.stamps import NANOSECONDS, check_stamp, nanoseconds, seconds,
 from finger_common.trial_phases import TrialPhase
 from finger_vision.area_sensor import AREA_SENSORS, measured
 from finger_vision.calibration import PlateCalibration
+from finger_vision.camera_stream import Repeats
 
 from ..held_areas import held_rows, held_text
-from ..image_areas import Repeats, area_fields
+from ..image_areas import area_fields
 from ..image_settings import told_settings
 from ..indentation_checks import indentation_fault
 from ..lag import MAXIMUM_LAG, indentation_lag, lag_text
@@ -347,6 +348,7 @@ class _Recording:
         sensor = AREA_SENSORS.open({**values, "area_sensor": name}, plate)
         stamps, areas = result.area_stamps, result.areas
         last, repeats = 0, Repeats()
+        refused: list[InputError] = []
         for number, (time, image) in enumerate(frames, 1):
             stamp = begin + time
             if number > 1 and stamp <= last:
@@ -357,10 +359,14 @@ class _Recording:
             # A codec makes equal frames of a scene that hardly moves.
             last = stamp
             if settings.video or not repeats.add(image):
-                found = measured(sensor, image, learn=True)
-                stamps.append(stamp)
-                areas.append(found.gross_area)
-                yield stamp, "contact_area", area_fields(stamp, found, "plate")
+                try:
+                    found = measured(sensor, image, learn=True)
+                except InputError as error:
+                    refused.append(error)
+                else:
+                    stamps.append(stamp)
+                    areas.append(found.gross_area)
+                    yield stamp, "contact_area", area_fields(stamp, found, "plate")
             if settings.keep_images:
                 data = cv2.imencode(".png", image)[1].tobytes()
                 header = {"frame_id": "camera_optical"}
@@ -371,6 +377,10 @@ class _Recording:
                 )
             if self._show is not None:
                 self._show("areas", number, max(count, number))
+        if refused and not areas:
+            raise refused[0]
+        if refused:
+            result.notes.append(f"{len(refused)} images give no area ({refused[0]})")
         result.notes += repeats.problems()
 
     # Checks ----------------------------------------------------------------------------------
