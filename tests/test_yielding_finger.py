@@ -23,8 +23,8 @@ from finger_model.parameter_sets import ParameterSet, ParameterSets
 from finger_model.reduced import ReducedModel
 
 START = 1_700_000_000_000_000_000
-CARRIED = StandardLinearSolid(E0=273e3, E1=60e3, tau1=0.02, E2=350e3, friction=0.05)
-"""Tissue of the same finger that carries 6 N."""
+CARRIED = StandardLinearSolid(E0=273e3, E1=100e3, tau1=0.02, E2=350e3, friction=0.05)
+"""Tissue of the same finger that carries 8 N."""
 
 QUICK = {
     "nuisances": False,
@@ -70,7 +70,7 @@ def test_particles_that_the_model_refuses_do_not_win_the_search(model: ReducedMo
     assert 0 < refused.sum() < refused.size
     assert np.isfinite(condition.cost) and np.isfinite(condition.areas).all()
     assert condition.covariance is not None and np.isfinite(condition.covariance.covariance).all()
-    assert condition.quantity("composite_E") == pytest.approx(60e3 * 273e3 / 333e3, rel=0.1)
+    assert condition.quantity("composite_E") == pytest.approx(100e3 * 273e3 / 373e3, rel=0.1)
 
     time, force = press(20.0, peak=8.0)
     condition.parameters = YIELDING.vector()

@@ -241,10 +241,25 @@ def test_a_force_in_stairs_leaves_no_jump_of_the_area(model, tau):
 
 
 def test_the_peak_pressure_of_a_first_touch_is_that_of_hertz(model):
-    force = np.geomspace(1e-6, 0.02, 24)
-    found = model.simulate(Material(), np.arange(1.0, 25.0), force)
+    force = np.geomspace(1e-6, 1e-3, 16)
+    found = model.simulate(Material(), np.arange(1.0, 17.0), force)
     ratio = found.peak_pressure / found.mean_pressure
-    assert np.all((ratio > 1.3) & (ratio < 1.6)), ratio.round(2)
+    assert np.all((ratio > 1.25) & (ratio < 1.6)), ratio.round(2)
+
+
+@pytest.mark.parametrize("skin", [0.5e-3, 0.9e-3])
+def test_the_peak_pressure_does_not_depend_on_the_mesh(skin):
+    # At least 1.5 times the mean pressure was given up to twelve nodes, 0.4 N on a stiff finger
+    # with thick skin: a third too much, and a jump behind them.
+    geometry, force = Geometry(epidermis_thickness=skin), np.geomspace(2e-4, 0.6, 30)
+    material = Material(E0=200e3, E1=60e3, tau1=0.05, E2=4e6)
+    peaks = [
+        FullOrderModel(geometry, refinement=refinement)
+        .simulate(material, np.arange(1.0, 31.0), force)
+        .peak_pressure
+        for refinement in (1.0, 3.0)
+    ]
+    assert peaks[0] == pytest.approx(peaks[1], rel=0.2)
 
 
 def test_load_beyond_what_the_finger_carries_names_time_force_and_cause(model):

@@ -526,6 +526,18 @@ def test_a_camera_that_is_blind_for_a_while_shows_no_wrong_zero(
     assert not any(flagged(found[3000 // PERIOD :], StateFlag.FORCE_OFFSET))
 
 
+@pytest.mark.parametrize("dim", [False, True])
+def test_pictures_of_a_dim_plate_tell_nothing_of_the_forces_zero(
+    model: ReducedModel, dim: bool
+) -> None:
+    estimator = ContactEstimator(model)
+    flags = AreaFlag.NO_CONTACT | (AreaFlag.LOW_CONTRAST if dim else AreaFlag(0))
+    for k in range(10, 30):
+        estimator.add_area(T0 + 100 * k * MS, 0.0, 1e-6, int(flags))
+    found = feed(estimator, 0.0, 3.0, lambda t: 0.0 if t < 1.0 else 0.3)
+    assert any(flagged(found, StateFlag.FORCE_OFFSET)) != dim
+
+
 def test_parameters_changed_beyond_the_models_force_stay(model: ReducedModel) -> None:
     default = ParameterSets.default()
     assert default.prior is not None

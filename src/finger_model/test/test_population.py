@@ -279,7 +279,8 @@ def test_streaming_batch_and_simulation_agree_to_the_bit() -> None:
 def test_a_slow_press_does_not_depend_on_its_rows_until_it_is_refused(
     material: StandardLinearSolid, rows: int
 ) -> None:
-    """The learned map has no solution there: it gave falling areas and indentations of 260 mm."""
+    """The learned map has no solution there, or one at which the finger is less deep and strained:
+    areas and indentations fell, or were 260 mm."""
     model = ReducedModel.load(geometry=THIN).for_material(material)
     vector = material.vector()
     share = np.linspace(0.0, 1.0, rows)
@@ -288,7 +289,10 @@ def test_a_slow_press_does_not_depend_on_its_rows_until_it_is_refused(
     area, indentation = found[:, 0]
     lost = np.isnan(area)
     first = int(np.argmax(lost))
-    assert 0.25 * force[-1] < force[first] < 0.95 * force[-1]
+    assert 0.2 * force[-1] < force[first] < 0.95 * force[-1]
+    heavy = slice(int(np.argmax(force > 0.1 * force[first])), first)
+    for carried in (area[heavy], indentation[heavy]):
+        assert (carried > 0.985 * np.maximum.accumulate(carried)).all()
     assert lost[first:].all() and np.isnan(indentation[first:]).all()
     soft = THIN.pad_semi_axis_axial - THIN.bone_semi_axis_axial
     assert indentation[:first].max() < soft

@@ -24,6 +24,9 @@ HELD_STEP, LONGEST_HOLD = 50_000_000, 250_000_000
 """ns. Equal areas in steps of up to HELD_STEP are one picture, which a recorder wrote again and
 again; after LONGEST_HOLD it counts once more, for the contact before a fast camera may rest."""
 
+_UNSEEN = AreaFlag.NO_CONTACT | AreaFlag.LOW_CONTRAST
+"""Flags of a picture in which a contact may be all the same, such as one of a dim plate."""
+
 _stamp = itemgetter(0)
 _NO_AREAS = np.zeros(0, stream.AREA)
 
@@ -99,7 +102,8 @@ class InputQueue:
 
     def take_due_areas(self, stamp_ns: int) -> np.ndarray:
         """Remove and return the areas (k,) due at a wrench sample of this stamp, but for repeated
-        ones. Rejected ones are NO_CONTACT where the picture shows none, and NaN otherwise."""
+        ones. Rejected ones are NO_CONTACT where the picture shows none, and NaN otherwise, as where
+        none could be seen."""
         number = bisect.bisect_right(self._areas, stamp_ns - self.delay, key=_stamp)
         if not number:
             return _NO_AREAS
@@ -111,7 +115,7 @@ class InputQueue:
         for row, (*_, flags) in enumerate(due):
             if flags & self.rejected_flags:
                 self.counters["flagged_areas"] += 1
-                empty = flags & AreaFlag.NO_CONTACT
+                empty = flags & _UNSEEN == AreaFlag.NO_CONTACT
                 found["area"][row] = stream.NO_CONTACT if empty else math.nan
         return found
 

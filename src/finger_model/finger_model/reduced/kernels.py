@@ -33,9 +33,9 @@ All Maxwell branches (g_b, τ_b) share the total strain d, and the state follows
 with the exponential integrator for a drive that is linear within a step, implicit in a. A step of
 the caller is divided where the drive is not (`creep_steps`) and where the force changes much, and
 again where Newton's method fails. Under loads that the tissue hardly carries the learned drive may
-have no solution; the finger then stays as it was, and its state says so (`failed`). No
-`fastmath`: the order of the additions is that of the source, so that a value does not depend on
-whether it came from a stream or a batch.
+have no solution, or one that takes back what the finger has given way (`_deepens`); the finger then
+stays as it was, and its state says so (`failed`). No `fastmath`: the order of the additions is that
+of the source, so that a value does not depend on whether it came from a stream or a batch.
 
 The kernels work on four records, whose dtypes `record_types` gives for the sizes of a model: `net`
 (both networks), `par` (one parameter set), `state` (one finger) and `work` (scratch;
@@ -96,6 +96,12 @@ which a step has failed."""
 _LIGHT = 0.1
 """x below which none fails: what little strain there is wrong is soon forgotten."""
 _MOST_HALVINGS = 3
+_RECOVERED = 0.005
+"""Share of the internal strain that, when lost under a smaller force, has recovered."""
+_TAKEN_BACK = 0.01
+"""Share of indentation and internal strain that errors may take back under a new largest force."""
+_HEAVY = 1.0
+"""F/(E∞ L²) below which that is not looked at: where little carries, old strain is most of it."""
 DELTA_FLOOR = 0.01
 """Smallest δ/L that counts for the friction state."""
 
@@ -173,6 +179,10 @@ def record_types(latents: int, frictions: int, drive_width: int, contact_width: 
                 ("drive", "f8", (1 + k,)),  # δ/L and c at this state
                 ("crept", "f8", (MOST_BRANCHES,)),  # by linear viscoelasticity, see `creep_steps`
                 ("failed", "f8"),  # 1: the last step could not be followed to its end
+                # The most so far, see `_deepens`.
+                ("most_force", "f8"),  # N
+                ("most_strain", "f8"),  # of |a|; 0 once some of it recovered
+                ("most_depth", "f8"),  # of δ/L, the same
             ]
         ),
         work=np.dtype(
@@ -576,6 +586,29 @@ def _take_back(state, work):
 
 
 @njit(cache=True)
+def _deepens(par, state):
+    """Whether a finger is as deep and as strained as it must be: the largest force so far takes
+    back neither, unless strain recovered under a smaller force since the largest before."""
+    square = 0.0
+    for a in state.amplitudes:
+        square += a * a
+    strain = math.sqrt(square)
+    if state.force < state.most_force:
+        if strain < (1.0 - _RECOVERED) * state.most_strain:
+            state.most_strain = 0.0
+            state.most_depth = 0.0
+        return True
+    least = 1.0 - _TAKEN_BACK
+    falls = state.drive[0] < least * state.most_depth or strain < least * state.most_strain
+    if falls and state.force >= _HEAVY * par.share * par.force_scale:
+        return False
+    state.most_force = state.force
+    state.most_strain = max(state.most_strain, strain)
+    state.most_depth = max(state.most_depth, state.drive[0])
+    return True
+
+
+@njit(cache=True)
 def _advance(net, par, state, work, dt, force):
     """Advance by dt (s) to `force` (N), reached linearly from the force before.
 
@@ -594,7 +627,7 @@ def _advance(net, par, state, work, dt, force):
         start = state.force
         h = allowed_step(crept, fraction, tau, par.force_scale, dt, start, goal)
         end = goal if h >= dt else start + (goal - start) * h / dt
-        if not _move(net, par, state, work, h, end):
+        if not (_move(net, par, state, work, h, end) and _deepens(par, state)):
             _take_back(state, work)
             state.force = before
             state.failed = 1
@@ -680,6 +713,9 @@ def _refresh(net, par, state, work):
     """Evaluate the drive again after the parameters were changed under a state."""
     x = (state.force / par.force_scale) ** (1.0 / 3.0)
     _drive(net, par, work, x, state.amplitudes, state.drive)
+    state.most_force = 0.0
+    state.most_strain = 0.0
+    state.most_depth = 0.0
 
 
 @njit(cache=True)
