@@ -64,13 +64,14 @@ class SlipGrip:
         """Force to grip with (N) after a ContactSlip.
 
         stamp: of its header (s); normal, tangential: magnitudes P and |Q| (N); friction with its
-        standard deviation; flags: bits of SlipFlag.
+        standard deviation; flags: bits of SlipFlag. A probability that is not known (NaN) keeps
+        the force.
         """
         if stamp < self._stamp:
             self._alarmed = -math.inf  # the clock went back
         elapsed = min(max(stamp - self._stamp, 0.0), self.largest_step)
         self._stamp = stamp
-        if flags & SlipFlag.FORCE_INVALID:
+        if flags & SlipFlag.FORCE_INVALID or math.isnan(probability):
             return self.force
         if math.isnan(self.force):
             self.force = min(max(normal, self.smallest), self.largest)

@@ -39,7 +39,8 @@ def test_grip_answers_slip_at_once_and_lets_go_slowly(example: Any) -> None:
     for i in range(26, 51):
         after = grip.on_slip(i * 0.002, 2.6, 0.2, 0.5, 0.02, 0.0, 0)
     assert before - 0.15 < after < before
-    assert grip.on_slip(1.0, float("nan"), 0.2, 0.5, 0.0, 0.0, 8) == after
+    for probability, flags in ((0.0, 8), (float("nan"), 8), (float("nan"), 0)):
+        assert grip.on_slip(1.0, float("nan"), 0.2, 0.5, 0.0, probability, flags) == after
 
 
 def test_an_object_that_is_held_already_is_not_let_go(example: Any) -> None:

@@ -266,6 +266,23 @@ def test_a_guess_at_the_ends_of_its_range_is_followed(guess):
     assert 0.5 < shape.pad_aspect < 2.0 and abs(shape.pitch) < math.radians(45.0)
 
 
+@pytest.mark.parametrize(("pitch", "roll"), [(40.0, 0.0), (0.0, 40.0)])
+def test_an_aspect_is_not_learned_at_a_tilt_that_the_correction_does_not_know(pitch, roll):
+    """It would stay for the contacts that follow."""
+    tilt = math.radians(pitch), math.radians(roll)
+    shape, _ = follow(Pose(1.5, *tilt), assumed=Pose(1.2, *tilt))
+    assert shape.flags & ShapeFlag.OUT_OF_RANGE
+    assert shape.pad_aspect == pytest.approx(1.2)
+    assert shape.pad_aspect_stddev == pytest.approx(1.2 * PoseSettings().pad_aspect_sd)
+
+
+@pytest.mark.parametrize("guess", [1.7, 2.0])
+def test_an_aspect_that_the_correction_does_not_know_is_left_by_learning(guess):
+    shape, _ = follow(Pose(1.3, 0.2), assumed=Pose(guess))
+    assert shape.pad_aspect == pytest.approx(1.3, abs=0.05)
+    assert not shape.flags & ShapeFlag.OUT_OF_RANGE
+
+
 def test_an_outline_that_comes_twice_counts_once():
     once, twice = follow(Pose(1.3, 0.35))[0], follow(Pose(1.3, 0.35), repeated=2)[0]
     assert once == twice
@@ -502,5 +519,42 @@ def test_endless_torques_are_left_out():
     estimator = PoseEstimator(PoseCorrection(Geometry(), Pose(), SKIN))
     for k in range(100):
         moment = (-1.7e308, 1.7e308, 0.0) if k % 2 else (1.7e308, -1.7e308, 0.0)
-        estimator.add(estimate(10**9 + 10**7 * k, ROUND, 0.2), (0, 0, -0.2), moment)
+        force = 0.2 if k >= 60 else 0.0  # first in the air
+        estimator.add(estimate(10**9 + 10**7 * k, ROUND, force), (0, 0, -force), moment)
     assert np.all(np.isfinite(estimator.mean)) and np.all(np.isfinite(estimator.covariance))
+
+
+def pressed_with_zero(offset, seconds):
+    """Shape of a level press of 0.5 N, after this time in the air with noise of the torque, where
+    the torque has an offset (N m) about y."""
+    rng = np.random.default_rng(0)
+    settings = PoseSettings(pad_place_sd=2e-4)
+    estimator = PoseEstimator(PoseCorrection(Geometry(), Pose(), SKIN), settings)
+    air = round(100 * seconds)
+    for k in range(-air, 200):
+        sample = estimate(10**10 + 10**7 * k, ROUND if k >= 0 else 0.0, 0.5 if k >= 0 else 0.0)
+        torque = rng.normal(0.0, 2e-4, 3) + np.array([0.0, offset, 0.0])
+        estimator.add(sample, (0.0, 0.0, -0.5 if k >= 0 else 0.0), torque.tolist())
+    return estimator.shape(sample)
+
+
+@pytest.mark.parametrize("seconds", [0.5, 3.0])
+@pytest.mark.parametrize("offset", [0.3e-3, 1e-3])
+def test_a_torque_that_a_tare_left_in_the_air_is_no_tilt(offset, seconds):
+    exact, left = pressed_with_zero(0.0, seconds), pressed_with_zero(offset, seconds)
+    assert left.roll == pytest.approx(exact.roll, abs=1e-6)
+    assert abs(left.roll) < 2.0 * left.roll_stddev
+    assert left.center_of_pressure == pytest.approx(exact.center_of_pressure, abs=1e-9)
+
+
+def test_a_torque_of_1_mn_m_that_the_air_did_not_tell_is_a_tilt_of_18_degrees():
+    shape = pressed_with_zero(1e-3, 0.0)
+    assert math.degrees(abs(shape.roll)) == pytest.approx(18.0, abs=0.5)
+    assert shape.flags & ShapeFlag.TILT_UNCERTAIN
+
+
+def test_a_zero_of_the_torque_that_the_air_did_not_tell_is_part_of_the_deviation():
+    """It lasts for a whole contact: more samples do not make the tilt surer."""
+    unseen, seen = pressed_with_zero(0.2e-3, 0.0), pressed_with_zero(0.2e-3, 1.0)
+    assert unseen.roll_stddev > 1.2 * seen.roll_stddev
+    assert abs(unseen.roll) < 2.0 * unseen.roll_stddev

@@ -241,6 +241,7 @@ def test_a_force_that_is_not_finite_leaves_no_trace(bad):
         (n if broken[1] == "normal" else q)[broken[0]] = bad
         rows = run(SlipEstimator(), n, q)
         assert rows["flags"][300] == SlipFlag.FORCE_INVALID | SlipFlag.FRICTION_ASSUMED
+        assert np.flatnonzero(np.isnan(rows["slip_probability"])).tolist() == [300]
         assert rows["friction"][-1] == pytest.approx(clean["friction"][-1], rel=1e-3)
         assert rows["stick_ratio"][-1] == pytest.approx(clean["stick_ratio"][-1], abs=1e-3)
 

@@ -125,11 +125,15 @@ class PoseCorrection:
     @property
     def inside(self) -> bool:
         """Whether the correction was learned for such a finger and pose."""
-        low_tilt = self.pose.tilt <= LARGEST_TILT * (1 + 1e-9)
         fits = SMALLEST_ASPECT * (1 - 1e-9) <= self.pose.aspect <= LARGEST_ASPECT * (1 + 1e-9)
+        return fits and self.inside_but_for_aspect(self.pose.tilt)
+
+    def inside_but_for_aspect(self, tilt: float) -> bool:
+        """Whether one was learned for such a finger at this tilt (rad), with some aspect."""
+        low_tilt = tilt <= LARGEST_TILT * (1 + 1e-9)
         low, high = SKIN_RATIOS
         known_skin = low * (1 - 1e-9) <= self.skin_ratio <= high * (1 + 1e-9)
-        return low_tilt and fits and known_skin and is_learned(self.geometry)
+        return low_tilt and known_skin and is_learned(self.geometry)
 
     @property
     def area_sd(self) -> float:

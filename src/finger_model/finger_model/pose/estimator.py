@@ -3,11 +3,12 @@
 
 """Aspect of the pad and tilt of the plate, from the outline and from the centre of pressure.
 
-An extended Kalman filter of five unknowns: logarithm of the aspect, pitch, roll, and the place of
-the pad's centre over the plate. Outlines of a camera tell the ratio and the direction of the
-ellipse's axes and the centre of the contact, torques of a six-axis sensor its centre of pressure;
-what they are in a pose is `correction`'s. A tilt moves the contact by some 0.1 to 0.2 mm a degree:
-it is known as well as the place of the finger is. The aspect stays from contact to contact.
+An extended Kalman filter of seven unknowns: logarithm of the aspect, pitch, roll, the place of the
+pad's centre over the plate, and what is left of the torque's zero. Outlines of a camera tell the
+ratio and the direction of the ellipse's axes and the centre of the contact, torques of a six-axis
+sensor its centre of pressure; what they are in a pose is `correction`'s. A tilt moves the contact
+by some 0.1 to 0.2 mm a degree: it is known as well as the place of the finger is. The aspect stays
+from contact to contact.
 """
 
 from __future__ import annotations
@@ -28,8 +29,10 @@ from .correction import Outline, PoseCorrection
 from .estimate import MeasuredOutline, ShapeEstimate
 from .pose import ASPECTS, LARGEST_TILT, Pose
 from .settings import PoseSettings
+from .torque_zero import TorqueZero
 
-ASPECT, PITCH, ROLL, PLACE = 0, 1, 2, slice(3, 5)
+ASPECT, PITCH, ROLL, PLACE, ZERO = 0, 1, 2, slice(3, 5), slice(5, 7)
+UNKNOWNS = 7
 STEPS = np.array([0.02, 0.01, 0.01])
 """Of the derivatives by the logarithm of the aspect, pitch and roll."""
 
@@ -116,12 +119,13 @@ class PoseEstimator:
     def reset(self) -> None:
         """A finger that was not seen before."""
         self._areas.clear()
+        self._zero = TorqueZero(self.settings.torque_noise)
         self._begin_search()
 
     def _begin_search(self) -> None:
         settings = self.settings
-        self.mean = np.zeros(5)
-        self.covariance = np.zeros((5, 5))
+        self.mean = np.zeros(UNKNOWNS)
+        self.covariance = np.zeros((UNKNOWNS, UNKNOWNS))
         self.mean[ASPECT] = math.log(self._assumed.pose.aspect)
         self.covariance[ASPECT, ASPECT] = settings.pad_aspect_sd**2
         self._touching = self._outlined = self._pressed = self._pressed_outside = False
@@ -135,11 +139,11 @@ class PoseEstimator:
         """A new contact: another tilt and place, the same pad."""
         settings = self.settings
         known = self._assumed.pose
-        self.mean[1:] = known.pitch, known.roll, 0.0, 0.0
+        self.mean[1:] = known.pitch, known.roll, 0.0, 0.0, 0.0, 0.0
         self.mean = self._bounded(self.mean)
         self.covariance[1:, :] = self.covariance[:, 1:] = 0.0
-        for k, sd in zip((1, 2, 3, 4), 2 * [settings.tilt_sd] + 2 * [settings.pad_place_sd]):
-            self.covariance[k, k] = sd**2
+        sds = settings.tilt_sd, settings.pad_place_sd, self._zero.sd
+        np.fill_diagonal(self.covariance[1:, 1:], np.repeat(np.square(sds), 2))
         self._outlined = self._pressed = self._pressed_outside = False
         self._outlined_at = self._pressed_at = stamp_ns
         self._updated = stamp_ns
@@ -180,8 +184,15 @@ class PoseEstimator:
         round_area = self._assumed.round_area(estimate.area) if estimate.area > 0 else 0.0
         self._areas.append((stamp, round_area))
         if estimate.in_contact and not self._touching:
+            self._zero.touch()
             self._begin(stamp)
+        elif self._touching and not estimate.in_contact:
+            self._zero.leave(stamp)
         self._touching = bool(estimate.in_contact)
+        told = any(torque) and all(map(math.isfinite, (*torque, *force)))
+        moment = self._moment(force, torque) if told else None
+        if moment is not None and not self._touching:
+            self._zero.see_air(stamp, moment)
         for seen, outline in self.outlines.due(stamp):
             if self._touching and seen >= estimate.onset_ns:
                 self._see_outline(seen, outline)
@@ -189,7 +200,18 @@ class PoseEstimator:
         if not self._touching or not pressed:
             self._pressure = (math.nan, math.nan)
             return
-        self._add_pressure(stamp, round_area, force, torque)
+        if moment is None:
+            self._pressure = (math.nan, math.nan)
+            return
+        self._add_pressure(stamp, round_area, float(force[self._axis]), moment)
+
+    def _moment(self, force: Sequence[float], torque: Sequence[float]) -> tuple[float, float]:
+        """Centre of pressure times the force along the normal axis (2,) in N m, in sensor axes."""
+        # M = r × F with r = (x, y, depth towards the finger), the axes in a circle.
+        a, b = self._first, self._second
+        height = -self._sign * self.settings.sensor_depth
+        along = height * force[a] - torque[b], self._mirror * (height * force[b] + torque[a])
+        return float(along[0]), float(along[1])
 
     def _see_outline(self, stamp_ns: int, outline: MeasuredOutline) -> None:
         area = self._area_at(stamp_ns)
@@ -209,19 +231,10 @@ class PoseEstimator:
         self._outlined, self._outlined_at = True, stamp_ns
 
     def _add_pressure(
-        self, stamp: int, round_area: float, force: Sequence[float], torque: Sequence[float]
+        self, stamp: int, round_area: float, normal: float, moment: tuple[float, float]
     ) -> None:
         """Mean centre of pressure of a thirtieth of a second."""
-        a, b, n = self._first, self._second, self._axis
-        across = force[a], force[b]
-        normal = force[n]
-        if not any(torque) or not all(map(math.isfinite, (*torque, *force))):
-            self._pressure = (math.nan, math.nan)
-            return
-        # M = r × F with r = (x, y, depth towards the finger), the axes in a circle.
-        height = -self._sign * self.settings.sensor_depth
-        x = (height * across[0] - torque[b]) / normal
-        y = self._mirror * (height * across[1] + torque[a]) / normal
+        x, y = ((m - zero) / normal for m, zero in zip(moment, self._zero.mean, strict=True))
         turn = self.settings.sensor_direction
         c, s = math.cos(turn), math.sin(turn)
         self._sum += c * x - s * y + self.settings.sensor_x, s * x + c * y + self.settings.sensor_y
@@ -240,7 +253,7 @@ class PoseEstimator:
             return
         shared = self._shared(stamp - self._pressed_at)
         sd = math.hypot(self.settings.torque_noise / abs(normal), shared * PLACE_SD)
-        self._correct(stamp, round_area, place, np.full(2, sd), slice(4, 6))
+        self._correct(stamp, round_area, place, np.full(2, sd), slice(4, 6), 1.0 / abs(normal))
         self._pressed, self._pressed_at = True, stamp
 
     @staticmethod
@@ -252,17 +265,27 @@ class PoseEstimator:
     # Filter ----------------------------------------------------------------------------------
 
     def _correct(
-        self, stamp_ns: int, area: float, measured: np.ndarray, sds: np.ndarray, which: slice
+        self,
+        stamp_ns: int,
+        area: float,
+        measured: np.ndarray,
+        sds: np.ndarray,
+        which: slice,
+        per_torque: float = 0.0,
     ) -> None:
-        """Update by measurements; `which`: of those that `_expected` gives."""
+        """Update by measurements; `which`: of those that `_expected` gives; per_torque (1/N): what
+        a torque moves the centre of pressure by."""
         passed = max(stamp_ns - self._updated, 0) / NANOSECONDS
         self._updated = max(stamp_ns, self._updated)
         for k, wander in ((1, TILT_WANDER), (2, TILT_WANDER), (3, PLACE_WANDER), (4, PLACE_WANDER)):
             self.covariance[k, k] += wander**2 * passed
         prior, spread = self.mean.copy(), self.covariance
+        # A wrong aspect outlasts the contact. One that is out itself may come back.
+        tilt = Pose(1.0, float(prior[PITCH]), float(prior[ROLL])).tilt
+        learns_aspect = self._assumed.inside_but_for_aspect(tilt)
         mean = prior
         for _ in range(3):
-            expected, slope = self._linear(mean, area)
+            expected, slope = self._linear(mean, area, per_torque)
             h, expected = slope[which], expected[which]
             gap = measured - expected - h @ (prior - mean)
             innovation = h @ spread @ h.T + np.diag(sds**2)
@@ -270,13 +293,17 @@ class PoseEstimator:
             if size > OUTLIER**2:
                 innovation += np.diag(sds**2) * (size / OUTLIER**2 - 1.0)
             gain = np.linalg.solve(innovation, h @ spread).T
+            if not learns_aspect:
+                gain[ASPECT] = 0.0
             found = self._bounded(prior + gain @ gap)
             step, mean = found - mean, found
             if np.all(np.abs(step) < 0.3 * np.sqrt(np.diag(spread)) + 1e-9):
                 break
         self.mean = mean
-        kept = np.eye(5) - gain @ h
-        spread = kept @ spread
+        kept = np.eye(UNKNOWNS) - gain @ h
+        # Also right where the gain is not the best one.
+        noise = innovation - h @ spread @ h.T
+        spread = kept @ spread @ kept.T + gain @ noise @ gain.T
         self.covariance = 0.5 * (spread + spread.T)
         self._correction = None
 
@@ -288,7 +315,7 @@ class PoseEstimator:
             mean[1:3] *= 0.9 * LARGEST_TILT / size
         return mean
 
-    def _expected(self, mean: np.ndarray, area: float) -> np.ndarray:
+    def _expected(self, mean: np.ndarray, area: float, per_torque: float) -> np.ndarray:
         """Shape (2), centre (2) and centre of pressure (2) in axes of the finger."""
         found = self._corrected(mean).outline(area)
         shape = math.log(found.semi_axes[0] / found.semi_axes[1])
@@ -298,21 +325,24 @@ class PoseEstimator:
             [
                 [shape * math.cos(double), shape * math.sin(double)],
                 found.center + place,
-                found.center_of_pressure + place,
+                found.center_of_pressure + place + per_torque * mean[ZERO],
             ]
         )
 
-    def _linear(self, mean: np.ndarray, area: float) -> tuple[np.ndarray, np.ndarray]:
-        """What is expected, and its derivatives (6, 5)."""
-        middle = self._expected(mean, area)
-        slope = np.zeros((6, 5))
+    def _linear(
+        self, mean: np.ndarray, area: float, per_torque: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """What is expected, and its derivatives (6, UNKNOWNS)."""
+        middle = self._expected(mean, area, per_torque)
+        slope = np.zeros((6, UNKNOWNS))
         for k, size in enumerate(STEPS):
             moved = mean.copy()
             moved[k] += size
-            ahead = self._expected(moved, area)
+            ahead = self._expected(moved, area, per_torque)
             moved[k] -= 2.0 * size
-            slope[:, k] = (ahead - self._expected(moved, area)) / (2.0 * size)
+            slope[:, k] = (ahead - self._expected(moved, area, per_torque)) / (2.0 * size)
         slope[2, 3] = slope[3, 4] = slope[4, 3] = slope[5, 4] = 1.0
+        slope[4, 5] = slope[5, 6] = per_torque
         return middle, slope
 
     def _corrected(self, mean: np.ndarray) -> PoseCorrection:

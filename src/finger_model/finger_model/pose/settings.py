@@ -84,7 +84,8 @@ class PoseSettings(Settings):
     )
     torque_noise: float = _runtime(
         2e-4,
-        "Standard deviation of the mean torque of a thirtieth of a second.",
+        "Standard deviation of the mean torque of a thirtieth of a second, and of its zero as long "
+        "as the air has not told it.",
         unit="N m",
         minimum=1e-6,
         maximum=0.1,

@@ -25,7 +25,7 @@ class SlipEstimate(NamedTuple):
     standard deviation; tangential_displacement (2,) in m: of the bone over the plate since the
     contact began, as far as the skin sticks; tangential_stiffness (N/m); slips: slips seen so far;
     flags: bits of SlipFlag. Without contact all but forces and friction are NaN and the
-    probability is 0.
+    probability is 0; while a force is not finite it is NaN too.
     """
 
     stamp_ns: int

@@ -16,6 +16,7 @@ import numpy as np
 from .. import force_noise
 from ..compiled import njit
 from ..force_noise import NOISE_MEMORY
+from ..sensor_air import BLOCK, BLOCKS, LEAST_BLOCKS
 
 FAST, SLOW = 0.008, 0.03
 """s, time constants of the filters of the present forces and of their rates."""
@@ -23,9 +24,6 @@ LONGEST_STEP = 0.0125
 """s between samples up to which what is rough of Q is noise."""
 KNOCK, KNOCKED = 40.0, 0.08
 """1/s, rate of Q over P of a knock, not a pull, and s after it in which ratios tell nothing."""
-BLOCK, BLOCKS, LEAST_BLOCKS = 0.1, 10.0, 3.0
-"""s of a block in the air, also of the first one, which is left out; how many are remembered, and
-how many tell the zero."""
 LEAST_ROUGH = 10.0
 """Samples in the air that tell the noise."""
 CLEAR_ZERO = 3.0

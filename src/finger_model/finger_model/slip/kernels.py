@@ -166,11 +166,11 @@ def _ahead(tracked, horizon, ratio, stands):
 
 
 @njit(cache=True)
-def _say_nothing(out):
-    """All NaN but what is known anyway."""
+def _say_nothing(out, probability):
+    """All NaN but what is known anyway and this probability of slip."""
     out.stick_ratio = out.stick_ratio_stddev = math.nan
     out.slip_margin = out.slip_margin_stddev = math.nan
-    out.slip_probability = 0.0
+    out.slip_probability = probability
     out.tangential_displacement[0] = out.tangential_displacement[1] = math.nan
     out.tangential_stiffness = math.nan
 
@@ -184,7 +184,7 @@ def follow(config, state, stamp, normal, q0, q1, touching, doubted, indentation,
     out.normal_force = normal
     out.tangential_force[0], out.tangential_force[1] = q0, q1
     if not math.isfinite(normal + q0 + q1):
-        _say_nothing(out)
+        _say_nothing(out, math.nan)
         out.friction, out.friction_stddev = state.friction.mean, state.friction.stddev
         out.slips = known.slips
         out.flags = INVALID | (0 if known.shown else ASSUMED)
@@ -247,7 +247,7 @@ def follow(config, state, stamp, normal, q0, q1, touching, doubted, indentation,
     )
     mean = out.friction
     if not judged:
-        _say_nothing(out)
+        _say_nothing(out, 0.0)
         out.flags |= NO_CONTACT
         if touching:
             elements.begin(state.elements, normal, q0, q1)
