@@ -71,9 +71,13 @@ def prepare(rig: StandIn, page: Any, **fields: Any) -> None:
 
 def press_key(page: Any, key: str) -> None:
     """Press a key of the page when it has its link, which a busy machine may have kept from it:
-    without one most keys do nothing."""
-    page.wait_for_selector("#link.good")
-    page.keyboard.press(key)
+    without one most keys do nothing, and Space says so."""
+    told = None
+    while told is None or "Not connected" in told:
+        page.wait_for_selector("#link.good")
+        page.evaluate("document.querySelector('#answer').textContent = ''")
+        page.keyboard.press(key)
+        told = page.inner_text("#answer")
 
 
 def until(condition: Callable[[], Any], page: Any, seconds: float = 60.0) -> Any:
