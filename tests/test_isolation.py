@@ -119,6 +119,8 @@ def test_two_fingers_meet_in_no_topic_service_file_port_frame_or_diagnostic(
         assert {n.split("/force")[0] for n in hand.levels if f"{finger}/force" in n} == {finger}
     hand.nodes["thumb"]["protocol"]._start()
     hand.nodes["hand/index"]["protocol"]._start()
+    # What falls silent has come before.
+    hand.until(lambda: thumb["protocol"]._protocol._inputs._force is not None)
     faults = Parameter("faults", value=["force silent"])
     assert thumb["simulated_rig"].set_parameters_atomically([faults]).successful
     hand.until(lambda: level("thumb") == 2)
