@@ -156,6 +156,14 @@ class Health:
             self.last_error = message
             return new
 
+    def ease(self, key: str, message: str) -> bool:
+        """Have a fault shown as a warning that it is over; true when there is one."""
+        with self._lock:
+            found = key in self._faults
+            if found:
+                self._faults[key] = (WARN, message)
+            return found
+
     def recovered(self, key: str | None = None) -> bool:
         """End one fault, or all; true when there was one to end."""
         with self._lock:

@@ -67,6 +67,14 @@ class CanSettings(Settings):
         maximum=1_000_000,
     )
     can_options: str = setting("", "Further options of the interface, key=value,key=value.")
+    response_timeout: float = setting(
+        0.05,
+        "Time for a reply after which a poll counts as lost (netcanoem, and dbc with a request).",
+        unit="s",
+        minimum=0.001,
+        maximum=1.0,
+        advice="Long enough for a busy computer's pauses; shorter loses less time per lost reply.",
+    )
 
     def open_bus(self) -> can.BusABC:
         """The bus; raises InputError and DeviceError as `open_bus` does."""

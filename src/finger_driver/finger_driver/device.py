@@ -85,6 +85,15 @@ class Device(Generic[Sample]):
                 self._absent.add(key)
                 self._end(key)
 
+    def passed(self, key: str, message: str) -> bool:
+        """A fault is over: for HOLD s more the message is shown as a warning in its place. True
+        when there was one."""
+        found = self.health.ease(key, message)
+        if found:
+            self._noted[key] = time.monotonic()
+            self._absent.add(key)
+        return found
+
     def end_passed(self) -> None:
         """End the faults that were absent when looked for last, and have been shown for HOLD s."""
         for key in list(self._absent):
@@ -109,15 +118,21 @@ class DeviceThread(Generic[Sample]):
 
     `on_sample` is called in that thread, or in the one that polls several devices, while this one
     waits. What it returns is called afterwards; where several devices replied at once, after the
-    samples of all of them. A sample resets the pause between attempts.
+    samples of all of them. A sample resets the pause between attempts. `on_connected_again` is
+    called in the device's own thread, before the first sample of the new connection.
     """
 
     def __init__(
-        self, device: Device[Sample], on_sample: Callable[[Sample], Rest | None], pauses: Pauses
+        self,
+        device: Device[Sample],
+        on_sample: Callable[[Sample], Rest | None],
+        pauses: Pauses,
+        on_connected_again: Callable[[], None] = lambda: None,
     ) -> None:
         self._device = device
         self._on_sample = on_sample
         self._pauses = pauses
+        self._on_connected_again = on_connected_again
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -168,7 +183,7 @@ class DeviceThread(Generic[Sample]):
         return self._thread is not None and self._thread.is_alive()
 
     def _run(self) -> None:
-        device, connected, flushed = self._device, True, False
+        device, connected, flushed, lost = self._device, True, False, ""
         while not self._stop.is_set():
             try:
                 if not flushed:
@@ -179,8 +194,9 @@ class DeviceThread(Generic[Sample]):
                     connected = True
                     device.cleared("internal", "close")
                     device.health.count("reconnects")
-                    if device.health.recovered("connection"):
+                    if device.passed("connection", f"connected again after: {lost}"):
                         device.log(0, f"{device.health.name}: connected again")
+                    self._on_connected_again()
                 polled = device.polled()
                 if polled is not None:
                     SHARED.serve(polled, self._deliver, self._stop.is_set)
@@ -190,16 +206,16 @@ class DeviceThread(Generic[Sample]):
                 if rest is not None:
                     rest()
             except FingerError as error:
-                connected = False
-                device.note("connection", one_line(error), ERROR)
+                connected, lost = False, one_line(error)
+                device.note("connection", lost, ERROR)
                 self._close()
                 self._stop.wait(self._pauses.next())
             except Exception as error:
                 # A defect of the program: a dead thread would fail silently.
                 if self._stop.is_set():
                     return
-                connected = False
-                device.note("internal", f"{type(error).__name__}: {one_line(error)}", ERROR)
+                connected, lost = False, f"{type(error).__name__}: {one_line(error)}"
+                device.note("internal", lost, ERROR)
                 self._close()
                 self._stop.wait(self._pauses.next())
 

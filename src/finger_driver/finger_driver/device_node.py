@@ -70,6 +70,9 @@ class DeviceNode(ManagedNode):
         """
         raise NotImplementedError
 
+    def on_connected_again(self) -> None:
+        """The device was lost and is there again; called in its thread, before its next sample."""
+
     # Lifecycle -------------------------------------------------------------------------------
 
     _configured = False
@@ -83,7 +86,7 @@ class DeviceNode(ManagedNode):
         self._statistics = StampStatistics()
         settings = self.settings(DeviceNodeSettings)
         pauses = Pauses(settings.reconnect_first_pause, settings.reconnect_longest_pause)
-        self._thread = DeviceThread(self.device, self._deliver, pauses)
+        self._thread = DeviceThread(self.device, self._deliver, pauses, self.on_connected_again)
         self.closing.callback(self._thread.stop)
         try:
             self._thread.connect(settings.connect_timeout)

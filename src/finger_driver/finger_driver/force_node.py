@@ -28,7 +28,7 @@ from finger_common.stamps import NANOSECONDS
 from .device_node import DeviceNode, DeviceNodeSettings
 from .force import GOOD, SOURCES, ForceSource, WrenchSample
 from .shared_polling import Rest
-from .tare import FarTares, TareCollector
+from .tare import FarTares, TareCollector, ZeroCheck
 
 TARE_NEEDED = "tare needed: take the finger off the plate, then call ~/tare"
 
@@ -97,6 +97,7 @@ class ForceNode(DeviceNode):
         self._bias: np.ndarray | None = None
         self._offset = np.zeros(6)
         self._far_tares = FarTares()
+        self._zero_check: ZeroCheck | None = None
         self._note_tare()
         self._newest: list[float] = []
         self._scale_id = self.device.scale_id
@@ -126,13 +127,7 @@ class ForceNode(DeviceNode):
                 self._tare_done.set()
         if self.device.scale_id != self._scale_id:
             self._scale_id = self.device.scale_id
-            if self._bias is not None:
-                self._bias = None
-                self._note_tare()
-                self.device.note(
-                    "tare_void",
-                    "another sensor or calibration is in use; the tare is not valid, tare again",
-                )
+            self._void_tare("another sensor or calibration is in use")
         if not good and self.values["bad_samples"] == "drop":
             return None
         raw = tared = [math.nan] * 6
@@ -140,12 +135,47 @@ class ForceNode(DeviceNode):
             raw = tared = [*sample.force.tolist(), *sample.torque.tolist()]
             bias = self._bias
             if bias is not None:
-                tared = self.device.wrench_of(sample.channels - bias).tolist()
+                wrench = self.device.wrench_of(sample.channels - bias)
+                if not self._zero_holds(sample.stamp_ns, wrench[:3]):
+                    return None
+                tared = wrench.tolist()
         # First to whom a delay matters.
         force, torque = tuple(tared[:3]), tuple(tared[3:])
         rests = self._local.send(sample.stamp_ns, force, self._frame, received, torque)
         self._newest = tared
         return partial(self._finish, rests, divmod(sample.stamp_ns, NANOSECONDS), tared, raw)
+
+    def on_connected_again(self) -> None:
+        if self._bias is not None and not self.device.serial and self._zero_check is None:
+            before = np.array(self._newest[:3])
+            self._zero_check = ZeroCheck(before, self.values["tare_shift_limit"])
+
+    def _zero_holds(self, stamp_ns: int, force: np.ndarray) -> bool:
+        """Whether a force (3,) in N with the zero in force may be published: not in the first
+        moments after the connection was lost, which show whether the zero is still right."""
+        check = self._zero_check
+        if check is None:
+            return True
+        holds = check.holds(stamp_ns, force)
+        if holds is None:
+            return False
+        self._zero_check = None
+        if not holds:
+            size = float(np.linalg.norm(check.now))
+            self._void_tare(
+                f"since the connection was lost the force reads {size:.2f} N, not as before and "
+                "not zero: another sensor may be in use"
+            )
+        return holds
+
+    def _void_tare(self, why: str) -> None:
+        """End the tare, if there is one."""
+        self._zero_check = None
+        if self._bias is not None:
+            self._bias = None
+            self._note_tare()
+            self.device.health.notes.pop("tare_offset", None)
+            self.device.note("tare_void", f"{why}; the tare is not valid, tare again")
 
     def _finish(
         self,
@@ -174,7 +204,7 @@ class ForceNode(DeviceNode):
             response.success, response.message = False, f"not tared: {error}"
             return response
         was = float(normal_force((offset - removed)[:3], self.values["normal_axis"]))
-        self._bias, self._offset = bias, offset
+        self._bias, self._offset, self._zero_check = bias, offset, None
         self._note_tare()
         response.success, response.message = True, f"Zero set (was {was:.2f} N)"
         self.device.health.recovered("tare_void")
@@ -203,7 +233,7 @@ class ForceNode(DeviceNode):
         return collector.result(self.device)
 
     def _on_reset_tare(self, request: Any, response: Any) -> Any:
-        self._bias = None
+        self._bias = self._zero_check = None
         self._note_tare()
         self.device.health.notes.pop("tare_offset", None)
         self.device.health.recovered("tare_void")

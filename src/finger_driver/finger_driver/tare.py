@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """Tare: the mean of a still, unloaded signal, refused when the signal moves, and when it is far
-from the zero in force: then something is held, or the sensor has drifted."""
+from the zero in force: then something is held, or the sensor has drifted. A lost connection may end
+it: another sensor may be there afterwards."""
 
 from __future__ import annotations
 
@@ -72,6 +73,38 @@ class TareCollector:
             )
         bias = channels.mean(axis=0)
         return bias, source.wrench_of(bias)
+
+
+class ZeroCheck:
+    """Whether a zero may still be used after the connection was lost, of a sensor whose serial
+    number is not known: where the force reads as before, or as that of a plate that nobody touches.
+
+    before: (3,) N, last force before the loss, with that zero. limit: N.
+    """
+
+    DURATION = 0.1
+    """s after the loss whose mean is compared."""
+
+    def __init__(self, before: np.ndarray, limit: float) -> None:
+        self._before = before
+        self._limit = limit
+        self._forces: list[np.ndarray] = []
+        self._begin: int | None = None
+
+    def holds(self, stamp_ns: int, force: np.ndarray) -> bool | None:
+        """Take the force (3,) in N with that zero; None while that is not known yet."""
+        if self._begin is None:
+            self._begin = stamp_ns
+        self._forces.append(force)
+        if (stamp_ns - self._begin) * 1e-9 < self.DURATION:
+            return None
+        now = self.now
+        return any(np.linalg.norm(now - usual) <= self._limit for usual in (self._before, 0.0))
+
+    @property
+    def now(self) -> np.ndarray:
+        """Force (3,) in N after the loss, with that zero."""
+        return np.mean(self._forces, axis=0)
 
 
 AGAIN = 30.0

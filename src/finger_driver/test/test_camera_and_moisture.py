@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 import pytest
 
+import finger_driver.device
 from finger_common.errors import DeviceError, InputError
 from finger_common.host_clock import HostClock
 from finger_driver import camera, moisture
@@ -27,6 +28,7 @@ from finger_driver.camera.info import CameraCalibration, resolve_url
 from finger_driver.camera.opencv import OpenCvSettings, OpenCvSource
 from finger_driver.camera.ueye import UeyeSettings, UeyeSource
 from finger_driver.moisture import Reading
+from finger_driver.moisture.export import ExportSettings, ExportSource
 from finger_driver.moisture.serial import SerialSettings, SerialSource
 from finger_driver.protocols import lines
 from finger_driver.protocols.export_table import Row, TableFormat, new_rows, parse_table
@@ -188,6 +190,60 @@ class FakeCapture:
 
     def release(self) -> None:
         self.released = True
+
+
+class Exposed(FakeCapture):
+    """A camera on V4L2 that chooses its exposure (ms × 10) itself until it is told not to."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.values = {
+            cv2.CAP_PROP_AUTO_EXPOSURE: 3.0,
+            cv2.CAP_PROP_EXPOSURE: 157.0,
+            cv2.CAP_PROP_FPS: 50.0,
+        }
+
+    def get(self, key: int) -> float:
+        return self.values.get(key, -1.0)
+
+    def set(self, key: int, value: float) -> bool:
+        self.values[key] = value
+        return True
+
+
+@pytest.mark.parametrize(("exposure", "first"), [(0.0, "157"), (0.02, "200")])
+def test_an_exposure_that_may_change_or_has_changed_is_told(
+    exposure: float, first: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(opencv, "_WATCHED", 0.02)
+    monkeypatch.setattr(finger_driver.device, "HOLD", 0.05)
+    capture = Exposed()
+    settings = OpenCvSettings(path="0", rate=50.0, exposure=exposure)
+    source = OpenCvSource(settings, opener=lambda path: (capture, True))
+    auto = "on" if exposure == 0.0 else "off"
+
+    def read_until(condition: Callable[[], bool]) -> None:
+        end = time.monotonic() + 20
+        while not condition():
+            assert time.monotonic() < end, source.health.faults
+            source.read(0.1)
+
+    try:
+        source.connect()
+        health = source.health
+        assert health.notes["camera_auto_exposure"] == auto
+        assert health.notes["camera_exposure"] == first
+        assert ("auto_exposure" in health.faults) is (auto == "on")
+        assert "exposure_changed" not in health.faults
+        capture.values[cv2.CAP_PROP_EXPOSURE] = 2000.0
+        read_until(lambda: "exposure_changed" in health.faults)
+        assert f"exposure is 2000, it was {first}" in health.faults["exposure_changed"]
+        capture.values[cv2.CAP_PROP_EXPOSURE] = float(first)
+        read_until(lambda: "exposure_changed" not in health.faults)
+        capture.values[cv2.CAP_PROP_AUTO_EXPOSURE] = 3.0  # by another program
+        read_until(lambda: "auto exposure is on" in health.faults.get("auto_exposure", ""))
+    finally:
+        source.close()
 
 
 def test_a_slow_reader_gets_the_newest_frame_and_unplugging_is_reported() -> None:
@@ -661,7 +717,8 @@ def test_exports_in_the_forms_that_spreadsheets_write() -> None:
     rows, malformed = parse_table(
         (text + "02.01.2026 10:32;abc;\n").encode("cp1252"), "e.csv", form
     )
-    assert [r.value for r in rows] == [1042.5, 43.0] and malformed == 1
+    assert [r.value for r in rows] == [1042.5, 43.0] and malformed.rows == 1
+    assert malformed.first.startswith("column 'Wert' has 'abc', which is not a number")
     assert rows[1].time_ns == rows[0].time_ns + 60_000_000_000
     with pytest.raises(DeviceError, match="export_encoding"):
         parse_table(text.encode("cp1252"), "e.csv", TableFormat(export_value_column="Wert"))
@@ -693,6 +750,17 @@ def test_rows_of_a_rewritten_table_are_new_only_when_they_were_not_there() -> No
     assert new(rows(42, 43, 41), rows(50, 51, 52, 53)) == ([50, 51, 52, 53], False)
     timed = [Row(v, t) for t, v in enumerate((42, 43, 41, 43))]
     assert new_rows(timed[:3], timed[1:]) == ([timed[3]], False)
+
+
+def test_a_time_of_another_format_is_named_with_its_column(tmp_path: Path) -> None:
+    table = tmp_path / "e.csv"
+    table.write_text("Datum;value\n27.11.2026 09:00:00;42,5\n27.11.2026 09:01:00;43,5\n")
+    source = ExportSource(ExportSettings(path=str(table), export_time_column="Datum"))
+    source.connect()
+    assert source.health.faults["malformed"] == (
+        "e.csv: 2 of 2 rows cannot be read; in the first of them column 'Datum' has '27.11.2026 "
+        "09:00:00', which is not a time of the form '%Y-%m-%d %H:%M:%S'; set export_time_format"
+    )
 
 
 def test_rows_of_an_export_that_could_not_be_read_at_first_are_not_new(tmp_path: Path) -> None:

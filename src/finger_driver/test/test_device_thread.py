@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from finger_common.diagnostics import Health
+from finger_common.diagnostics import WARN, Health
 from finger_common.errors import DeviceError
 from finger_common.retry import Pauses
 from finger_common.settings import Settings
@@ -72,14 +72,33 @@ def test_a_slow_sensor_is_not_taken_for_silent(rate: float, silence: float) -> N
 
 
 def test_a_device_lost_before_reading_begins_is_connected_again(
-    read: Callable[..., DeviceThread],
+    read: Callable[..., DeviceThread], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(module, "HOLD", 0.2)
     device, samples = Counting(), []
     device.lost = True
     thread = read(device, samples.append)
     until(lambda: len(samples) > 3)
-    assert thread.running and not device.health.faults
-    assert device.health.counters["reconnects"] == 1
+    until(lambda: not (device.end_passed(), device.health.faults)[1])
+    assert thread.running and device.health.counters["reconnects"] == 1
+
+
+def test_a_short_loss_is_still_told_as_a_warning_when_it_is_over(
+    read: Callable[..., DeviceThread], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Diagnostics are sent once a second; the loss ends within hundredths of one."""
+    device, samples, now = Counting(), [], [100.0]
+    monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
+    device.lost = True
+    read(device, samples.append)
+    while len(samples) < 3:
+        time.sleep(0.005)
+    for age, shown in ((0.0, True), (module.HOLD - 0.1, True), (module.HOLD + 0.1, False)):
+        now[0] = 100.0 + age
+        device.end_passed()
+        report = device.health.report()
+        assert (report.level == WARN) is shown and report.level <= WARN
+        assert ("connected again after: no answer" in report.message) is shown
 
 
 def test_a_device_that_fails_while_it_is_closed_is_connected_again(

@@ -156,29 +156,36 @@ def test_force_node_refuses_a_tare_while_something_is_held(
 @contextmanager
 def force_node(domain: int, load: np.ndarray) -> Iterator[tuple[Any, Any]]:
     """A node in this process, and the board that it reads, with this wrench (6,) on it."""
-    from rclpy.parameter import Parameter
-
     from finger_driver.can_bus import open_bus
-    from finger_driver.force_node import ForceNode
     from finger_driver.simulators.netcanoem import NetcanoemSimulator
 
     channel = f"domain {domain}"
     bus = open_bus("virtual", channel)
-    simulator = NetcanoemSimulator(bus, force=lambda stamp: load).start()
-    context = rclpy.Context()
-    rclpy.init(context=context, domain_id=domain)
-    parameters = {"can_interface": "virtual", "can_channel": channel}
-    overrides = [Parameter(k, value=v) for k, v in parameters.items()]
-    overrides.append(Parameter("calibration_check_period", value=0.05))
-    node = ForceNode(context=context, parameter_overrides=overrides)
-    try:
-        assert node.bring_up()
+    simulator = NetcanoemSimulator(bus, force=lambda stamp: load)
+    simulator.owns_bus = True
+    with node_of(domain, simulator, channel, calibration_check_period=0.05) as node:
         yield node, simulator
-    finally:
-        node.destroy_node()
-        rclpy.shutdown(context=context)
-        simulator.stop()
-        bus.shutdown()
+
+
+@contextmanager
+def node_of(domain: int, simulator: Any, channel: str, **parameters: Any) -> Iterator[Any]:
+    """A node in this process for a simulated sensor on a bus within it."""
+    from rclpy.parameter import Parameter
+
+    from finger_driver.force_node import ForceNode
+
+    with simulator:
+        context = rclpy.Context()
+        rclpy.init(context=context, domain_id=domain)
+        parameters |= {"can_interface": "virtual", "can_channel": channel}
+        overrides = [Parameter(k, value=v) for k, v in parameters.items()]
+        node = ForceNode(context=context, parameter_overrides=overrides)
+        try:
+            assert node.bring_up()
+            yield node
+        finally:
+            node.destroy_node()
+            rclpy.shutdown(context=context)
 
 
 def until(condition: Callable[[], bool]) -> None:
@@ -202,6 +209,51 @@ def test_a_tare_ends_with_the_calibration_that_it_was_made_in(ros_domain: int) -
         until(lambda: "tare_void" in node.device.health.faults)
         until(lambda: abs(node._newest[2] + 1.0) < 0.02)
         assert node.device.health.notes["tared"] == "no"
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "kept"),
+    [(-0.4, -3.4, False), (-1.4, -1.35, True), (-1.4, -0.4, True), (-1.4, -0.9, False)],
+    ids=["another sensor", "loose plug", "finger lifted meanwhile", "finger pressed less"],
+)
+def test_a_lost_connection_ends_a_zero_that_the_force_does_not_confirm(
+    ros_domain: int, before: float, after: float, kept: bool
+) -> None:
+    """A Robotous RFT, which tells no serial number; its zero is at -0.4 N."""
+    from std_srvs.srv import Trigger
+
+    from finger_driver.simulators.rft import RftOptions, RftSimulator
+
+    channel = f"domain {ros_domain}"
+    sensor = RftSimulator(RftOptions(interface="virtual", channel=channel))
+
+    def load(force: float) -> None:
+        sensor._force = lambda stamp: np.array([0.0, 0.0, force, 0.0, 0.0, 0.0])
+
+    load(-0.4)
+    with node_of(ros_domain, sensor, channel, device="dbc") as node:
+        health, sent, send = node.device.health, [], node._local.send
+
+        def keep(stamp: int, force: tuple[float, ...], *rest: Any) -> Any:
+            sent.append(force[2])
+            return send(stamp, force, *rest)
+
+        node._local.send = keep
+        until(lambda: node._on_tare(Trigger.Request(), Trigger.Response()).success)
+        load(before)
+        until(lambda: abs(node._newest[2] - before - 0.4) < 0.06)
+        sensor.faults.set("silent")
+        until(lambda: "connection" in health.faults)
+        number = len(sent)
+        load(after)
+        sensor.faults.clear()
+        until(lambda: health.counters["reconnects"] and len(sent) > number + 50)
+        zero = 0.4 if kept else 0.0
+        # Not one sample is given with a zero that turned out to be wrong.
+        assert np.abs(np.array(sent[number:]) - after - zero).max() < 0.06
+        assert health.notes["tared"] == ("yes" if kept else "no")
+        told = health.faults.get("tare_void", "")
+        assert (f"reads {abs(after + 0.4):.1f}" in told) is not kept
 
 
 def test_a_force_beyond_the_sensors_range_is_not_published(ros_domain: int) -> None:

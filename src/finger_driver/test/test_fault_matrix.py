@@ -44,7 +44,7 @@ TRUE_FORCE = np.array([0.1, 0.2, -1.5])
 LEVELS = ("OK", "WARN", "ERROR")
 Record = Callable[[str, object], None]
 
-BUSY = re.compile("rate |no sample|no complete reply|no reply for|no record for")
+BUSY = re.compile("rate |no sample|no complete reply|no reply for|no record for|connected again")
 """Faults that a machine which stops for a while adds to any other."""
 BUSY_BESIDE = re.compile("no sample for [0-9.]+ s: ")
 
@@ -104,6 +104,7 @@ class NodeUnderTest:
 
     def _watch(self) -> None:
         while not self._ending.wait(0.05):
+            self.node.device.end_passed()
             report = self.node.device.health.report()
             self.reports.append((time.monotonic(), report.level, report.message, report.values))
 

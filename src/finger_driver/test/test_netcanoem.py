@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from can.interfaces.udp_multicast import UdpMulticastBus
 
+import finger_driver.device
 from finger_common.errors import DeviceError
 from finger_driver.can_bus import discard_waiting, frame, open_bus, parse_options
 from finger_driver.force import GOOD, SATURATED, open_source
@@ -563,14 +564,52 @@ def test_a_gauge_at_either_end_is_saturated(channel: str, end: int) -> None:
         bus.shutdown()
 
 
-def test_old_firmware_that_knows_no_counts_still_works(channel: str) -> None:
-    bus, simulator = board(channel, firmware=(3, 5, 1))
+LBF, LBF_IN = 4.4482216152605, 0.1129848290276167
+
+
+@pytest.mark.parametrize(
+    ("settings", "factors", "assumed"),
+    [
+        ({}, (1 / LBF, 0.001 / LBF_IN), "N and N-mm"),
+        ({"assumed_force_unit": "lbf"}, (1.0, 0.001 / LBF_IN), "lbf and N-mm"),
+        ({"assumed_force_unit": "lbf", "assumed_torque_unit": "lbf-in"}, (1.0, 1.0), ""),
+    ],
+)
+def test_units_that_old_firmware_does_not_tell_are_those_set_or_a_warning_stands(
+    channel: str,
+    settings: dict,
+    factors: tuple[float, float],
+    assumed: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The calibration is in lbf and lbf-in, as that of many transducers."""
+    monkeypatch.setattr(finger_driver.device, "HOLD", 0.0)
+    truth = np.array([1.0, -2.0, 3.0, 0.004, 0.005, -0.006])
+    calibration = replace(default_calibration(), force_unit=1, torque_unit=1)
+    bus, simulator = board(
+        channel,
+        firmware=(3, 6, 1),
+        slots={0: calibration},
+        force=lambda stamp: truth,
+        noise=0.0,
+    )
     simulator.start()
-    source = driver(channel)
+    source = driver(channel, **settings)
     try:
         source.connect()
-        assert source.read(1.0) is not None
-        assert source.health.notes["firmware"] == "3.5.1"
+        sample = source.read(1.0)
+        assert sample is not None
+        step = np.abs(calibration.scaled).sum(axis=1)
+        expected = truth * np.repeat(factors, 3)
+        assert np.all(np.abs(sample.channels - calibration.gauges(truth)) <= 0.51)
+        wrench = np.concatenate([sample.force, sample.torque])
+        assert np.all(np.abs(wrench - expected) <= 0.51 * step * np.repeat(factors, 3))
+        told = source.health.faults.get("units_assumed", "")
+        assert bool(told) is bool(assumed)
+        assert not told or f"does not tell the calibration's units: {assumed} are assumed" in told
+        simulator.firmware = (3, 8, 1)
+        source.connect()
+        assert "units_assumed" not in source.health.faults and source.serial == "FT01234"
     finally:
         source.close()
         simulator.stop()

@@ -76,6 +76,7 @@ def test_page_gives_scales_in_si_and_counts_that_are_not_a_million() -> None:
     full = page.replace(b"</netft>", b"<runrate>488</runrate><cfgcalsn>FT1</cfgcalsn></netft>")
     assert netft_xml.parse(full).internal_rate == 488
     assert netft_xml.parse(full).zero != configuration.zero
+    assert (configuration.serial, netft_xml.parse(full).serial) == ("", "FT1")
     assert netft_xml.parse(netft_xml.render(netft_xml.parse(full))) == netft_xml.parse(full)
 
 
@@ -566,12 +567,14 @@ class Dbc:
 
     def __init__(self, mapping: Path, rate: float = 500.0) -> None:
         self.source = DbcSource(DbcSettings(rate=rate, dbc_mapping=str(mapping)))
-        self.source.clock = HostClock(lambda: self.START, lambda: self.START)
+        self.now = self.START
+        self.source.clock = HostClock(lambda: self.now, lambda: self.now)
 
     def feed(self, identifier: int, data: bytes, at: float) -> WrenchSample | None:
+        self.now = self.START + round(at * 1e9)
         message = frame(identifier, data)
         # A float of this size has steps of 0.24 µs.
-        message.timestamp = self.START * 1e-9 - 0.9 + at
+        message.timestamp = self.now * 1e-9
         return self.source._sample_of(message)
 
 
@@ -609,6 +612,138 @@ def test_a_sensor_whose_counter_stands_still_repeats_a_sample(tmp_path: Path) ->
     lost = health.counters["lost"]
     # The counter begins anew, here at -32768, which is lost.
     assert feed(-32767, 0.504) is not None and health.counters["lost"] == lost + 1
+
+
+def test_two_sensors_of_the_same_identifiers_are_told_and_their_mixture_is_not_good() -> None:
+    """Two at 500 Hz, 1 N and 16 N, for 2 s, then the first alone."""
+    sensor = Dbc(SHIPPED)
+    good: dict[int, list[bool]] = {0: [], 1: [], 2: []}
+    for k in range(1500):
+        for delay, force in ((0.0, 1.0), (0.001, 16.0)):
+            if k >= 1000 and delay:
+                continue
+            first, second = rft_frames(np.array([0, 0, force, 0, 0, 0]))
+            sensor.feed(1, first, 0.002 * k + delay)
+            sample = sensor.feed(2, second, 0.002 * k + delay + 0.0003)
+            assert sample is not None
+            good[k // 500].append(sample.quality == GOOD)
+        if k == 999:
+            told = sensor.source.health.faults["conflict"]
+    assert told.startswith("1000 samples per second come, 500 are expected: does another sensor")
+    assert not any(good[1][20:]) and all(good[2][300:])
+
+
+def test_samples_of_one_sensor_that_waited_and_come_at_once_are_no_second_sensor() -> None:
+    sensor, first_and_second = Dbc(SHIPPED), rft_frames(np.ones(6))
+    for k in range(1500):
+        at = max(0.002 * k, 1.4) if 500 <= k < 700 else 0.002 * k
+        for identifier, data in enumerate(first_and_second, 1):
+            sample = sensor.feed(identifier, data, at)
+        assert sample is not None and sample.quality == GOOD
+    assert not sensor.source.health.faults
+
+
+POLLED = (
+    "match: {Response: 0x0B}",
+    """match: {Response: 0x0A}
+request: {id: 0x64, data: "0A 00 00 00 00 00 00 00"}
+counter: {signal: Fz, modulus: 65536}
+""",
+)
+"""What makes the shipped mapping one of a sensor that is polled and counts what it measures."""
+
+
+class AbortingBox(threading.Thread):
+    """A sensor that takes `seconds` for a reply, and begins anew when it is asked meanwhile."""
+
+    def __init__(self, channel: str, seconds: float) -> None:
+        super().__init__(daemon=True)
+        self._bus, self._seconds = open_bus("virtual", channel), seconds
+        self.aborted = self.replies = 0
+        self.ending = threading.Event()
+
+    def run(self) -> None:
+        due: float | None = None
+        while not self.ending.is_set():
+            left = 0.05 if due is None else max(0.0, due - time.monotonic())
+            message = self._bus.recv(left)
+            if message is not None and message.data[0] == 0x0A:
+                self.aborted += due is not None
+                due = time.monotonic() + self._seconds
+            elif due is not None and time.monotonic() >= due:
+                due, self.replies = None, self.replies + 1
+                wrench = np.array([0.0, 0.0, 14 * self.replies / 50, 0.0, 0.0, 0.0])
+                for identifier, data in enumerate(rft_frames(wrench, response=0x0A), 1):
+                    self._bus.send(frame(identifier, data))
+        self._bus.shutdown()
+
+
+def test_a_polled_sensor_is_not_asked_while_it_replies(tmp_path: Path) -> None:
+    """It needs 2.5 ms for a reply, is to be asked every 2 ms, and measures 14 times meanwhile."""
+    box = AbortingBox("aborting", 0.0025)
+    box.start()
+    mapping = str(changed_mapping(tmp_path, POLLED))
+    source = DbcSource(
+        DbcSettings(
+            can_interface="virtual",
+            can_channel="aborting",
+            dbc_mapping=mapping,
+            response_timeout=1.0,
+        )
+    )
+    try:
+        source.connect()
+        samples = [sample for _ in range(100) if (sample := source.read(5.0)) is not None]
+        assert len(samples) == 100 and box.aborted == 0
+        assert np.min(np.diff([s.stamp_ns for s in samples])) > 0
+        counters = source.health.counters
+        assert counters["lost"] == 0 and counters["overrun"] >= 5
+    finally:
+        source.close()
+        box.ending.set()
+        box.join()
+
+
+def test_a_polled_sensor_that_does_not_answer_is_told_with_the_rate(tmp_path: Path) -> None:
+    mapping = str(changed_mapping(tmp_path, POLLED))
+    source = DbcSource(
+        DbcSettings(can_interface="virtual", can_channel="nobody", dbc_mapping=mapping, rate=250.0)
+    )
+    with pytest.raises(DeviceError, match="no sample within 1 s at 250 requests per second; check"):
+        source.connect()
+    source.close()
+    assert source.health.faults["lost"] == "no complete reply within 50 ms"
+
+
+def test_a_reply_that_comes_when_it_was_given_up_is_no_sample(tmp_path: Path) -> None:
+    sensor = Dbc(changed_mapping(tmp_path, POLLED))
+    source, request, sent = sensor.source, frame(0x64, b"\x0a"), []
+
+    class Wire:
+        def send(self, message: can.Message, timeout: float) -> None:
+            sent.append(message)
+
+    def answer(at: float) -> WrenchSample | None:
+        first, second = rft_frames(np.ones(6), response=0x0A)
+        sensor.feed(1, first, at)
+        return sensor.feed(2, second, at + 0.001)
+
+    def poll() -> None:
+        source._poll(Wire(), request)  # type: ignore[arg-type]
+
+    poll()
+    poll()
+    assert len(sent) == 1
+    source._deadline = 0.0  # as if the time for a reply had passed
+    poll()
+    assert len(sent) == 1 and source.health.counters["lost"] == 1
+    assert answer(0.1) is None and source.health.counters["late_replies"] == 2
+    source._quiet_until = source._due = time.monotonic()
+    poll()
+    sample = answer(0.104)
+    assert len(sent) == 2 and sample is not None
+    # The middle between the request, at 0.101 s, and the first frame.
+    assert (sample.stamp_ns - sensor.START) * 1e-9 == pytest.approx(0.1025, abs=1e-6)
 
 
 def test_dbc_sensor_streams_from_another_process_through_faults(free_port: object) -> None:

@@ -29,6 +29,18 @@ from finger_common.stamps import nanoseconds
 
 from .source import CameraSettings, CameraSource, Frame
 
+_WATCHED = 3.0
+"""s between two looks at the exposure of a camera."""
+_AUTO_EXPOSURE, _MANUAL_EXPOSURE = (0, 3), 1
+"""V4L2's modes in which the camera chooses the exposure time, and in which it does not."""
+
+
+def exposure_of(capture: Any) -> tuple[bool, float]:
+    """Whether a camera chooses its exposure time itself, and that time in the units of its driver;
+    0 where the driver does not tell it."""
+    time = capture.get(cv2.CAP_PROP_EXPOSURE)
+    return capture.get(cv2.CAP_PROP_AUTO_EXPOSURE) in _AUTO_EXPOSURE, max(time, 0.0)
+
 
 def capture_of(path: str) -> tuple[Any, bool]:
     """VideoCapture for a path and whether it is live (camera or pipeline).
@@ -102,6 +114,8 @@ class OpenCvSource(CameraSource):
         if live:
             self._configure()
             self._grabber = _Grabber(self._capture, self.clock)
+            self._first_exposure = self._grabber.exposure[1]
+            self._tell_exposure(*self._grabber.exposure)
             self._grabber.start()
         self.flush()
 
@@ -123,7 +137,7 @@ class OpenCvSource(CameraSource):
         if wanted.height:
             requests.append(("height", cv2.CAP_PROP_FRAME_HEIGHT, wanted.height))
         if wanted.exposure:
-            self._capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, 1)  # 1 is "manual" for V4L2
+            self._capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, _MANUAL_EXPOSURE)
             # V4L2 counts exposure in 100 µs.
             requests.append(("exposure", cv2.CAP_PROP_EXPOSURE, wanted.exposure * 1e4))
         if wanted.gain >= 0:
@@ -141,6 +155,27 @@ class OpenCvSource(CameraSource):
                 f"camera '{self._path}': {name} is {got:g}, not {value:g}",
             )
 
+    def _tell_exposure(self, auto: bool, exposure: float) -> None:
+        """Report an exposure that has changed, and one that may: the images' brightness is another
+        one then."""
+        if not exposure:
+            return
+        first, camera = self._first_exposure, f"camera '{self._path}'"
+        self.health.notes["camera_exposure"] = f"{exposure:g}"
+        self.health.notes["camera_auto_exposure"] = "on" if auto else "off"
+        self.note_if(
+            auto,
+            "auto_exposure",
+            f"{camera}: auto exposure is on: the brightness of the images may change while a "
+            "finger presses; set 'exposure'",
+        )
+        self.note_if(
+            abs(exposure - first) > 0.01 * first,
+            "exposure_changed",
+            f"{camera}: exposure is {exposure:g}, it was {first:g} when the camera was opened; "
+            + ("auto exposure is on" if auto else "does another program change it?"),
+        )
+
     def close(self) -> None:
         grabber, self._grabber = self._grabber, None
         capture, self._capture = self._capture, None
@@ -154,6 +189,8 @@ class OpenCvSource(CameraSource):
         if self._grabber is None:
             return self._play(timeout)
         taken = self._grabber.take(timeout)
+        if (exposure := self._grabber.new_exposure()) is not None:
+            self._tell_exposure(*exposure)
         now = time.monotonic()
         if taken is None:
             if self._grabber.failed or now - self._last_frame > self._silence:
@@ -197,11 +234,14 @@ class _Grabber(threading.Thread):
         self._clock = clock
         self._condition = threading.Condition()
         self._newest: tuple[int, np.ndarray, int] | None = None
+        self.exposure = self._told = exposure_of(capture)
+        """As it was at the last look. Once the thread runs, it alone uses the capture."""
         self._ending = threading.Event()
         self.failed = False
 
     def run(self) -> None:
         sequence = failures = 0
+        look = time.monotonic() + _WATCHED
         while not self._ending.is_set():
             good = self._capture.grab()
             stamp = self._stamp()
@@ -216,6 +256,8 @@ class _Grabber(threading.Thread):
                 self._ending.wait(0.02)
                 continue
             failures = 0
+            if time.monotonic() >= look:
+                self.exposure, look = exposure_of(self._capture), time.monotonic() + _WATCHED
             with self._condition:
                 self._newest = (stamp, image, sequence)
                 self._condition.notify()
@@ -226,6 +268,12 @@ class _Grabber(threading.Thread):
         now, steady = self._clock.now(), time.monotonic()
         age = steady - self._capture.get(cv2.CAP_PROP_POS_MSEC) * 1e-3
         return now - nanoseconds(age) if 0 <= age < 1 else now
+
+    def new_exposure(self) -> tuple[bool, float] | None:
+        """What the last look gave, None when that was given before."""
+        exposure, told = self.exposure, self._told
+        self._told = exposure
+        return None if exposure is told else exposure
 
     def take(self, timeout: float) -> tuple[int, np.ndarray, int] | None:
         """The newest frame not yet taken, or None after `timeout` s."""

@@ -1,7 +1,12 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Any CAN force sensor that a DBC file and a mapping describe, streaming or polled."""
+"""Any CAN force sensor that a DBC file and a mapping describe, streaming or polled.
+
+A polled sensor is asked again when its sample is complete: some abort what they send when another
+request comes. After a lost reply nothing is asked for as long again, and what comes meanwhile is
+left out, since it is not known when it was measured.
+"""
 
 from __future__ import annotations
 
@@ -33,8 +38,12 @@ from .source import (
 SHIPPED = Path(__file__).resolve().parent.parent / "data" / "robotous_rft.yaml"
 
 _WITHIN = 0.75
-"""Share of the time between samples in which all frames of one must come; else those of two could
-be joined when the ones between are lost."""
+"""Share of the time between samples of a stream in which all frames of one must come; else those of
+two could be joined when the ones between are lost."""
+
+_OFTEN, _OFTEN_TIME, _OFTEN_SAMPLES = 1.5, 0.5, 5
+"""Times the rate at which frames of a second sensor must be among them; s and samples over which it
+is looked at. Two such times follow each other, since frames that waited in a queue come at once."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +58,8 @@ class DbcSettings(can_bus.CanSettings, ForceSettings):
 class DbcSource(ForceSource):
     """Any CAN sensor that a DBC file describes.
 
-    The stamp is the arrival of a sample's first frame, as the CAN interface gives it.
+    The stamp of a stream's sample is the arrival of its first frame, as the CAN interface gives it;
+    that of a polled one the middle between the request and that arrival.
     """
 
     SETTINGS = DbcSettings
@@ -60,19 +70,31 @@ class DbcSource(ForceSource):
     def __init__(self, settings: DbcSettings) -> None:
         super().__init__(settings)
         mapping = SensorMapping.load(settings.dbc_mapping or SHIPPED)
-        within = min(mapping.within, _WITHIN / settings.rate)
-        self._mapping = replace(mapping, within=within)
+        if mapping.request is None:
+            within = min(mapping.within, _WITHIN / settings.rate)
+            mapping = replace(mapping, within=within)
+        self._mapping = mapping
         self._names = self._mapping.identifiers()
-        self._period = 1.0 / settings.rate
         self._assembler = SampleAssembler(self._mapping)
         self._bus: can.BusABC | None = None
-        self._count: tuple[int, int] | None = None
-        """Number of the newest sample, and its stamp when it came first."""
+        self._begin()
         self._refused: str | None = None
         """Why the newest frame was refused while the first sample is waited for, None later."""
 
     def _where(self) -> str:
         return f"{self._mapping.name} on {self.settings.where()}"
+
+    def _asked_for(self) -> str:
+        """How often a polled sensor is asked, for error sentences."""
+        return f" at {self.settings.rate:g} requests per second" if self._mapping.request else ""
+
+    @property
+    def longest_silence(self) -> float:
+        silence = super().longest_silence
+        # That of a polled one is not told before some replies were lost.
+        return (
+            max(silence, 4 * self.settings.response_timeout) if self._mapping.request else silence
+        )
 
     def connect(self) -> None:
         self.close()
@@ -85,8 +107,8 @@ class DbcSource(ForceSource):
             if self._wait(time.monotonic() + 1.0) is None:
                 refused = f" ({self._refused})" if self._refused else ""
                 raise DeviceError(
-                    f"{self._where()}: no sample within 1 s{refused}; check power, bit rate and "
-                    "the mapping"
+                    f"{self._where()}: no sample within 1 s{self._asked_for()}{refused}; check "
+                    "power, bit rate and the mapping"
                 )
         except can_bus.BUS_ERRORS as error:
             raise DeviceError(f"{self._where()}: the bus failed at start-up ({error})") from None
@@ -102,8 +124,19 @@ class DbcSource(ForceSource):
 
     def _begin(self) -> None:
         self._assembler.reset()
-        self._count = None
-        self._last_sample = self._next_poll = time.monotonic()
+        self._count: tuple[int, int] | None = None
+        """Number of the newest sample, and its stamp when it came first."""
+        self._last_sample = self._due = self._quiet_until = time.monotonic()
+        self._asked = False
+        """Whether a polled sensor's reply is awaited, which counts as lost at `_deadline`."""
+        self._deadline, self._sent = self._due, 0
+        self._begin_rate(self.clock.now())
+        self._often = 0
+        """Times one after the other in which frames came too often."""
+
+    def _begin_rate(self, stamp: int) -> None:
+        """The rate of the frames is taken from a stamp (ns) on."""
+        self._rate_since, self._first_frames = stamp, 0
 
     def close(self) -> None:
         bus, self._bus = self._bus, None
@@ -128,7 +161,8 @@ class DbcSource(ForceSource):
         silent = time.monotonic() - self._last_sample
         if sample is None and silent > self.longest_silence:
             raise DeviceError(
-                f"{self._where()}: no sample for {silent:.2f} s; check power and cable"
+                f"{self._where()}: no sample for {silent:.2f} s{self._asked_for()}; check power "
+                "and cable"
             )
         return sample
 
@@ -138,16 +172,32 @@ class DbcSource(ForceSource):
         while (now := time.monotonic()) < end:
             until = end
             if request is not None:
-                if now >= self._next_poll:
-                    self._bus.send(request, timeout=0.1)
-                    self._next_poll = max(self._next_poll + self._period, now)
-                until = min(end, self._next_poll)
+                ask = max(self._due, self._quiet_until)
+                until = min(end, self._deadline if self._asked else ask)
+            # First what waits: before a request it is old, and this process may have stood still.
             frame = self._bus.recv(max(until - now, 0.0))
             if frame is not None:
                 sample = self._sample_of(frame)
                 if sample is not None:
                     return sample
+            elif request is not None:
+                self._poll(self._bus, request)
         return None
+
+    def _poll(self, bus: can.BusABC, request: can.Message) -> None:
+        """Ask when it is time for it; give up a reply that does not come."""
+        now, timeout = time.monotonic(), self.settings.response_timeout
+        if self._asked and now >= self._deadline:
+            self._asked = False
+            self._assembler.reset()
+            self._quiet_until = now + timeout
+            self.note("lost", f"no complete reply within {timeout * 1e3:.0f} ms")
+        if not self._asked and now >= max(self._due, self._quiet_until):
+            self._due = self.poll_after(self._due)
+            self._sent = self.clock.now()
+            bus.send(request, timeout=timeout)
+            self._deadline = time.monotonic() + timeout
+            self._asked = True
 
     def _sample_of(self, frame: can.Message) -> WrenchSample | None:
         if frame.is_error_frame:
@@ -157,9 +207,16 @@ class DbcSource(ForceSource):
         if name is None or frame.is_remote_frame or frame.is_fd:
             self.health.count("foreign")
             return None
+        arrival = self._arrival(frame)
+        if name == self._mapping.frames[0]:
+            self._find_second_sensor(arrival)
+        polled = self._mapping.request is not None
+        if polled and not self._asked:
+            self.health.count("late_replies")
+            return None
         incomplete = self._assembler.incomplete
         try:
-            done = self._assembler.add(name, bytes(frame.data), self._arrival(frame))
+            done = self._assembler.add(name, bytes(frame.data), arrival)
         except DeviceError as error:
             # Before the first sample it may be the sensor's answer to the frames sent at the start.
             if self._refused is None:
@@ -174,7 +231,10 @@ class DbcSource(ForceSource):
         self.cleared("lost", "malformed", "bus_errors")
         self._refused = None
         self._last_sample = time.monotonic()
+        self._asked = False
         stamp, signals = done
+        if polled:
+            stamp = (self._sent + stamp) // 2
         if self._repeated(signals, stamp):
             return None
         quality = self._quality(signals)
@@ -198,14 +258,38 @@ class DbcSource(ForceSource):
                 if stamp - since > REPEATED * NANOSECONDS:
                     self.note("stalled", f"the sensor repeats a sample ({signal} {count})", ERROR)
                 return True
+            # A polled sensor counts what it measures, asked or not.
             missing = (count - newest - 1) % modulus
-            if missing:
+            if missing and self._mapping.request is None:
                 self.health.count("lost", missing)
         self._count = count, stamp
         self.cleared("stalled")
         return False
 
+    def _find_second_sensor(self, stamp: int) -> None:
+        """Tell of samples that begin too often for one sensor. stamp: ns, of a first frame."""
+        self._first_frames += 1
+        passed = (stamp - self._rate_since) * 1e-9
+        rate = self.settings.rate
+        if 0 <= passed < max(_OFTEN_TIME, _OFTEN_SAMPLES / rate):
+            return
+        measured = self._first_frames / passed if passed > 0 else 0.0
+        self._begin_rate(stamp)
+        self._often = self._often + 1 if measured > _OFTEN * rate else 0
+        if self._often > 1:
+            self.note(
+                "conflict",
+                f"{measured:.0f} samples per second come, {rate:g} are expected: does another "
+                "sensor use these identifiers? If not, set 'rate'",
+                ERROR,
+            )
+        elif not self._often:
+            self.cleared("conflict")
+
     def _quality(self, signals: dict[str, Any]) -> int:
+        if self._often > 1:
+            # Whose values these are is not known.
+            return CRITICAL
         fault, saturation = self._mapping.fault, self._mapping.saturation
         if fault is not None and fault.set_in(signals):
             self.note("critical", f"sensor fault: {fault.signal} {signals[fault.signal]}", ERROR)
@@ -217,7 +301,3 @@ class DbcSource(ForceSource):
             return SATURATED
         self.cleared("saturated")
         return GOOD
-
-    @property
-    def scale_id(self) -> object:
-        return self._mapping.name

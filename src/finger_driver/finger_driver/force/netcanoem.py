@@ -42,13 +42,14 @@ from finger_common.settings import setting
 
 from .. import can_bus
 from ..protocols import netcanoem as protocol
+from ..protocols import units
 from ..protocols.netcanoem import READING, ROW
 from ..shared_polling import Polled
 from .netcanoem_dialog import Dialog, key_of
 from .source import CRITICAL, GOOD, SATURATED, ForceSettings, ForceSource, WrenchSample
 
-_CATCH_UP = 5
-"""Missed polls that are made up for by polling without pause; more are skipped and counted."""
+_UNKNOWN = "unknown"
+"""Choice of a unit that nobody has set."""
 _AT_ONCE = 100
 """Frames taken at once, before other devices have their turn."""
 _QUIET = 1.0
@@ -76,13 +77,18 @@ class NetcanoemSettings(can_bus.CanSettings, ForceSettings):
     expected_serial: str = setting(
         "", "NETCANOEM: serial number that the transducer must have; empty accepts any."
     )
-    response_timeout: float = setting(
-        0.05,
-        "NETCANOEM: time for a reply after which a poll counts as lost.",
-        unit="s",
-        minimum=0.001,
-        maximum=1.0,
-        advice="Long enough for a busy computer's pauses; shorter loses less time per lost reply.",
+    assumed_force_unit: str = setting(
+        _UNKNOWN,
+        "NETCANOEM: unit of force of the calibration, for firmware before 3.7, which does not tell "
+        "it; unknown takes N and warns.",
+        choices=(_UNKNOWN, *units.FORCE_CODES.values()),
+        advice="The calibration sheet gives it.",
+    )
+    assumed_torque_unit: str = setting(
+        _UNKNOWN,
+        "NETCANOEM: unit of torque, alike; unknown takes N-mm and warns.",
+        choices=(_UNKNOWN, *units.TORQUE_CODES.values()),
+        advice="The calibration sheet gives it.",
     )
     calibration_check_period: float = setting(
         1.0,
@@ -131,8 +137,9 @@ class NetcanoemSource(ForceSource):
         self._begin()
 
     def _start_up(self, dialog: Dialog) -> None:
-        slot = self.settings.calibration_slot
-        firmware, calibration = dialog.start_up(slot, self.settings.expected_serial)
+        slot, unit_codes = self.settings.calibration_slot, self._assumed_units()
+        firmware, calibration = dialog.start_up(slot, self.settings.expected_serial, unit_codes)
+        self._tell_assumed(firmware)
         steps = np.abs(calibration.scaled)
         end = steps.sum(axis=1) * protocol.GAUGE_ENDS[1]
         self.check_scale(self._where(), steps.max(axis=1), end)
@@ -145,6 +152,26 @@ class NetcanoemSource(ForceSource):
         self.calibration = calibration
         self.health.hardware_id = f"{calibration.serial} ({self._where()})"
         self.health.notes.update(firmware=".".join(map(str, firmware)), calibration_slot=str(slot))
+
+    def _assumed_units(self) -> tuple[int, int]:
+        """Codes of the units of a calibration whose units the board does not tell."""
+        settings, (force, torque) = self.settings, protocol.DEFAULT_UNITS
+        return (
+            units.code_of(settings.assumed_force_unit, units.FORCE_CODES, force),
+            units.code_of(settings.assumed_torque_unit, units.TORQUE_CODES, torque),
+        )
+
+    def _tell_assumed(self, firmware: tuple[int, int, int]) -> None:
+        """Warn while units are assumed that nobody has confirmed: they may be wrong by far."""
+        settings, (force, torque) = self.settings, self._assumed_units()
+        unknown = _UNKNOWN in (settings.assumed_force_unit, settings.assumed_torque_unit)
+        self.note_if(
+            firmware[:2] < protocol.UNITS_SINCE and unknown,
+            "units_assumed",
+            f"firmware {firmware[0]}.{firmware[1]} does not tell the calibration's units: "
+            f"{units.FORCE_CODES[force]} and {units.TORQUE_CODES[torque]} are assumed; set "
+            "'assumed_force_unit' and 'assumed_torque_unit' from the calibration sheet",
+        )
 
     def flush(self) -> None:
         if self._dialog is not None:
@@ -280,14 +307,9 @@ class NetcanoemSource(ForceSource):
         self._disputed_until = time.monotonic() + _DISPUTED
 
     def _request(self) -> None:
-        """Send a request; polls that were missed by far are left out and counted."""
+        """Send a request."""
         assert self._dialog is not None
-        behind = time.monotonic() - self.due
-        if behind > _CATCH_UP * self.period:
-            skipped = int(behind / self.period)
-            self.health.count("overrun", skipped)
-            self.due += skipped * self.period
-        self.due += self.period
+        self.due = self.poll_after(self.due)
         self._discard_old()
         self._got = {}
         self._in_doubt = False
@@ -446,3 +468,7 @@ class NetcanoemSource(ForceSource):
     def scale_id(self) -> object:
         calibration = self.calibration
         return None if calibration is None else (calibration.serial, calibration.scaled.tobytes())
+
+    @property
+    def serial(self) -> str:
+        return "" if self.calibration is None else self.calibration.serial

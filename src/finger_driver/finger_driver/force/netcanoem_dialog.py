@@ -121,12 +121,13 @@ class Dialog:
     # Start-up --------------------------------------------------------------------------------
 
     def start_up(
-        self, slot: int, expected_serial: str
+        self, slot: int, expected_serial: str, assumed_units: tuple[int, int]
     ) -> tuple[tuple[int, int, int], protocol.Calibration]:
         """Firmware and calibration of a board that uses a slot from then on (manual, section 10).
 
-        expected_serial: of the transducer, empty for any. Raises DeviceError for another one, and
-        for a board that does not answer or gives no usable calibration.
+        expected_serial: of the transducer, empty for any. assumed_units: codes of force and torque
+        for firmware that does not tell them. Raises DeviceError for another transducer, and for a
+        board that does not answer or gives no usable calibration.
         """
         can_bus.discard_waiting(self.bus)
         firmware = protocol.decode_firmware(self._firmware())
@@ -142,8 +143,8 @@ class Dialog:
             raise DeviceError(
                 f"{self._where}: two readings of the matrix differ; check the bus load"
             )
-        counts, codes = (protocol.DEFAULT_COUNTS,) * 2, (2, 4)
-        if firmware[:2] >= (3, 7):
+        counts, codes = (protocol.DEFAULT_COUNTS,) * 2, assumed_units
+        if firmware[:2] >= protocol.UNITS_SINCE:
             counts = protocol.decode_counts(self.ask(protocol.READ_COUNTS)[0])
             codes = protocol.decode_units(self.ask(protocol.READ_UNITS)[0])
         return firmware, protocol.Calibration(rows, *counts, *codes, serial)

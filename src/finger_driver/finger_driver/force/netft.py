@@ -457,3 +457,7 @@ class NetFtSource(ForceSource):
     def scale_id(self) -> object:
         configuration = self.configuration
         return None if configuration is None else (self.settings.netft_host, configuration.zero)
+
+    @property
+    def serial(self) -> str:
+        return "" if self.configuration is None else self.configuration.serial

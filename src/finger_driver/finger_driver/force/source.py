@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,6 +25,9 @@ REPEATED = 0.1
 
 _STILL, _STILL_SAMPLES = 1.0, 20
 """s, and samples at the rate set, of equal channels after which a sensor may be frozen."""
+
+_CATCH_UP = 5
+"""Missed polls that are made up for by polling without pause; more are skipped and counted."""
 
 _STEPS = 1000
 """Steps that a range must have at least, and times that it may be wider than the end of scale."""
@@ -113,6 +117,17 @@ class ForceSource(Device[WrenchSample]):
         """s without a sample after which the connection counts as lost."""
         return max(0.25, 3.0 / self.settings.rate)
 
+    def poll_after(self, due: float) -> float:
+        """When the poll after the one of `due` is due (monotonic s); polls that were missed by far
+        are left out and counted."""
+        period = 1.0 / self.settings.rate
+        behind = time.monotonic() - due
+        if behind > _CATCH_UP * period:
+            skipped = int(behind / period)
+            self.health.count("overrun", skipped)
+            due += skipped * period
+        return due + period
+
     def check_scale(self, where: str, step: np.ndarray, end: np.ndarray) -> None:
         """Raise DeviceError for a scale that cannot be that of a sensor of the range set.
 
@@ -186,3 +201,11 @@ class ForceSource(Device[WrenchSample]):
     def scale_id(self) -> object:
         """Changes whenever `wrench_of` does, so that a bias in channels is known to be void."""
         return None
+
+    @property
+    def serial(self) -> str:
+        """Serial number of the sensor, a part of `scale_id`; empty where it is not known.
+
+        A sensor without one may be replaced by another while the connection is lost.
+        """
+        return ""

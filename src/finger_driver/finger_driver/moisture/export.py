@@ -142,7 +142,10 @@ class ExportSource(MoistureSource):
             return
         self.cleared("unreadable")
         self.note_if(
-            malformed > 0, "malformed", f"{self._path.name}: {malformed} rows cannot be read"
+            malformed.rows > 0,
+            "malformed",
+            f"{self._path.name}: {malformed.rows} of {len(rows) + malformed.rows} rows cannot be "
+            f"read; in the first of them {malformed.first}",
         )
         if self._rows is None:
             # Its rows were there before anybody listened, however long it could not be read.

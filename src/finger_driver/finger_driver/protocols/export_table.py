@@ -27,6 +27,9 @@ MAX_BYTES = 20_000_000
 MAX_UNPACKED = 40_000_000
 """Bytes that an XLSX file may unpack to."""
 
+_SHOWN = 40
+"""Characters of a cell that are shown where it cannot be read."""
+
 _OLE = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"
 """Begin of an XLS file (MS-CFB)."""
 
@@ -75,8 +78,21 @@ class Row:
     phase: str = ""
 
 
-def parse_table(data: bytes, name: str, form: TableFormat) -> tuple[tuple[Row, ...], int]:
-    """Readings of an export in its order, and how many rows hold a value or time that is none.
+@dataclass(frozen=True)
+class Unreadable:
+    """Rows that hold a value or a time that is none: their number, and what is wrong in the first
+    one."""
+
+    rows: int = 0
+    first: str = ""
+
+
+class _BadCell(Exception):
+    """A cell that cannot be read; says which, what stands there and how it would be read."""
+
+
+def parse_table(data: bytes, name: str, form: TableFormat) -> tuple[tuple[Row, ...], Unreadable]:
+    """Readings of an export in its order, and the rows that hold a value or time that is none.
 
     XLSX when `name` ends so, else CSV. Rows without a value are passed over. Raises DeviceError
     when the file as a whole cannot be read, is XLS or lacks a column.
@@ -96,34 +112,52 @@ def parse_table(data: bytes, name: str, form: TableFormat) -> tuple[tuple[Row, .
     for key, column in (("time", form.export_time_column), ("phase", form.export_phase_column)):
         if column and column not in header:
             raise DeviceError(f"{name} has no column '{column}'; set export_{key}_column")
-    rows, malformed = [], 0
+    rows, malformed, first = [], 0, ""
     for line in lines[start + 1 :]:
         cells = dict(zip(header, line))
         if cells.get(form.export_value_column) in ("", None):
             continue
         try:
             rows.append(_row(cells, form))
-        except (ValueError, TypeError, OverflowError, OSError):
-            malformed += 1
-    return tuple(rows), malformed
+        except _BadCell as error:
+            malformed, first = malformed + 1, first or str(error)
+    return tuple(rows), Unreadable(malformed, first)
 
 
 def _row(cells: dict[Any, Any], form: TableFormat) -> Row:
-    value = cells[form.export_value_column]
-    if isinstance(value, str) and form.export_decimal_comma and "," in value:
-        value = value.replace(".", "").replace(",", ".")
-    if isinstance(value, bool) or not math.isfinite(value := float(value)):
-        raise ValueError("not a finite number")
+    """A row as a reading; raises _BadCell."""
     time_ns = None
-    if form.export_time_column:
-        time = cells.get(form.export_time_column)
-        if isinstance(time, str):
-            time = datetime.datetime.strptime(time, form.export_time_format)
-        if not isinstance(time, datetime.datetime):
-            raise ValueError("not a time")
-        # A time without a zone is local time.
-        time_ns = round(time.timestamp() * 1e6) * 1000
+    column, needed = form.export_value_column, "a number"
+    if form.export_decimal_comma:
+        needed += " with a decimal comma or point"
+    try:
+        value = _number(cells[column], form)
+        if form.export_time_column:
+            column = form.export_time_column
+            needed = f"a time of the form '{form.export_time_format}'; set export_time_format"
+            time_ns = _time_ns(cells.get(column), form)
+    except (ValueError, TypeError, OverflowError, OSError):
+        cell = cells.get(column)
+        shown = "" if cell is None else str(cell)[:_SHOWN]
+        raise _BadCell(f"column '{column}' has '{shown}', which is not {needed}") from None
     return Row(value, time_ns, str(cells.get(form.export_phase_column) or "").lower())
+
+
+def _number(cell: Any, form: TableFormat) -> float:
+    if isinstance(cell, str) and form.export_decimal_comma and "," in cell:
+        cell = cell.replace(".", "").replace(",", ".")
+    if isinstance(cell, bool) or not math.isfinite(value := float(cell)):
+        raise ValueError("not a finite number")
+    return value
+
+
+def _time_ns(cell: Any, form: TableFormat) -> int:
+    if isinstance(cell, str):
+        cell = datetime.datetime.strptime(cell, form.export_time_format)
+    if not isinstance(cell, datetime.datetime):
+        raise ValueError("not a time")
+    # A time without a zone is local time.
+    return round(cell.timestamp() * 1e6) * 1000
 
 
 def _csv(data: bytes, name: str, form: TableFormat) -> list[list[Any]]:

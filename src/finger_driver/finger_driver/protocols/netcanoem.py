@@ -99,8 +99,12 @@ GAUGE_ENDS = (-32768, 32767)
 SLOTS = 16
 MAX_BASE = 0x7F
 ANY_ERROR = 0x8000
+UNITS_SINCE = (3, 7)
+"""Firmware that reports counts per unit and units; for older one they are assumed."""
 DEFAULT_COUNTS = 1_000_000
-"""Counts per unit of calibrations read by firmware before 3.7, which does not report them."""
+"""Counts per unit assumed, as the manual says."""
+DEFAULT_UNITS = 2, 4
+"""Codes of N and N-mm, assumed where nobody sets others."""
 
 
 def identifier(base: int, opcode: int) -> int:
@@ -202,8 +206,8 @@ class Calibration:
     matrix: np.ndarray
     counts_per_force: int = DEFAULT_COUNTS
     counts_per_torque: int = DEFAULT_COUNTS
-    force_unit: int = 2
-    torque_unit: int = 4
+    force_unit: int = DEFAULT_UNITS[0]
+    torque_unit: int = DEFAULT_UNITS[1]
     serial: str = ""
     scaled: np.ndarray = field(init=False, repr=False)
     """(6, 6) matrix from gauge counts to N and N m."""

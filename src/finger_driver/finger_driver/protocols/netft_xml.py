@@ -51,6 +51,11 @@ class Configuration:
     zero: tuple[str, ...] = ("",) * len(ZERO)
 
     @property
+    def serial(self) -> str:
+        """Serial number of the transducer's calibration; empty where the page has none."""
+        return self.zero[ZERO.index("cfgcalsn")]
+
+    @property
     def force_scale(self) -> float:
         """N per count."""
         return units.force_factor(self.force_unit) / self.counts_per_force

@@ -18,6 +18,11 @@ TORQUE_CODES = {1: "lbf-in", 2: "lbf-ft", 3: "N-m", 4: "N-mm", 5: "kgf-cm", 6: "
 _ALIASES = {"Nm": "N-m", "Nmm": "N-mm", "kg-cm": "kgf-cm", "in-lb": "lbf-in", "ft-lb": "lbf-ft"}
 
 
+def code_of(unit: str, codes: dict[int, str], default: int) -> int:
+    """Code of a unit by its name; `default` for a name that none of `codes` has."""
+    return next((code for code, name in codes.items() if name == unit), default)
+
+
 def force_factor(unit: str | int) -> float:
     """N per unit of force, given by name or code; raises DeviceError for an unknown one."""
     name = FORCE_CODES.get(unit) if isinstance(unit, int) else unit.strip()

@@ -247,7 +247,7 @@ class NetcanoemSimulator(CanSimulator):
             return []
         if opcode == protocol.READ_DIAGNOSTIC:
             return [b"\x08\x00"] if self.firmware[:2] >= (3, 8) else []
-        if self.firmware[:2] < (3, 7):
+        if self.firmware[:2] < protocol.UNITS_SINCE:
             return []
         calibration = calibration or default_calibration()
         if opcode == protocol.READ_COUNTS:
