@@ -56,6 +56,19 @@ class Attempt:
         return f"slipped, friction {self.friction:.2f} ± {self.friction_stddev:.2f}"
 
 
+def scattered(step: str, readings: list[float], limit: float) -> str:
+    """That readings (a.u.) of a step, before or after, lie farther apart than a limit; empty where
+    they do not."""
+    spread = max(readings, default=0.0) - min(readings, default=0.0)
+    if spread <= limit:
+        return ""
+    values = ", ".join(f"{value:g}" for value in readings)
+    return (
+        f"The readings {step} the press are {spread:.0f} a.u. apart ({values}). Redo the trial if "
+        "the probe was not held well."
+    )
+
+
 @dataclass
 class TrialState:
     """One trial of the plan; `verdict` is pending, done or skipped."""

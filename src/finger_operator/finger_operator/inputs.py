@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -20,6 +21,8 @@ REPORT_MEMORY = 3.0
 
 CLOCKS_APART = 0.3
 """s between the stamp of a force and its arrival from which the nodes disagree on the time."""
+
+NUMBER = re.compile(r"\d+([.,]\d+)*")
 
 LOGGED_SILENCE = 1.0
 """s without a sample from which silence is an event of the log."""
@@ -44,6 +47,8 @@ class Inputs:
         self._force: _Sample | None = None
         self._area: _Sample | None = None
         self._errors: dict[str, tuple[int, str]] = {}
+        self._told: dict[str, set[str]] = {}
+        """Messages of the errors that last, without their numbers, which may count the seconds."""
         self._compared: _Sample | None = None
         self._lags: deque[float] = deque(maxlen=20)
         self._silent: set[str] = set()
@@ -91,10 +96,14 @@ class Inputs:
     def add_health(self, name: str, level: int, message: str, now_ns: int) -> str:
         """State of a device or node; the news of it for the event log, empty for none."""
         if level < ERROR:
+            self._told.pop(name, None)
             return f"{name}: over" if self._errors.pop(name, None) else ""
-        new = name not in self._errors
         self._errors[name] = (now_ns, message)
-        return f"{name}: {message}" if new else ""
+        told, words = self._told.setdefault(name, set()), NUMBER.sub("", message)
+        if words in told:
+            return ""
+        told.add(words)
+        return f"{name}: {message}"
 
     def force_fell_silent(self, now_ns: int, limits: Limits) -> bool:
         """Whether no force comes any longer."""

@@ -8,7 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from finger_common.contact_threshold import LIFTOFF_FORCE, ONSET_FORCE, check_thresholds
+from finger_common.moisture import MOISTURE_RANGE
 from finger_common.settings import Settings, setting
+from finger_common.usable_press import FEWEST_FRAMES, LONGEST_GAP, LONGEST_HOLE
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,7 @@ class Limits(Settings):
         10.0, "Longest time from the cue to lift-off.", "s", 0.5, 600.0, runtime=True
     )
     gap_limit: float = setting(
-        0.05,
+        LONGEST_GAP,
         "Gap between two force samples that makes a trial invalid.",
         "s",
         0.002,
@@ -76,13 +78,22 @@ class Limits(Settings):
         advice="Raise it above the sample period of a slow sensor.",
     )
     frame_gap_limit: float = setting(
-        0.35,
-        "Gap between two contact areas that makes a trial invalid.",
+        0.0,
+        "Gap between two contact areas that makes a trial invalid; 0: the one for which a fit "
+        f"leaves the trial out, {LONGEST_HOLE:g} periods of the camera.",
         "s",
-        0.02,
+        0.0,
         10.0,
         runtime=True,
-        advice="Raise it above three periods of a slow camera.",
+        advice="Set it only for rehearsals on a machine that is too slow.",
+    )
+    zero_limit: float = setting(
+        0.05,
+        "Difference of the free plate's force before and after a press that makes a trial invalid.",
+        "N",
+        0.001,
+        10.0,
+        runtime=True,
     )
     stale_after: float = setting(
         0.5,
@@ -94,10 +105,26 @@ class Limits(Settings):
         advice="Raise it when the clock of a device lags.",
     )
     minimum_frames: int = setting(
-        3,
-        "Frames with contact that a valid press needs.",
+        FEWEST_FRAMES,
+        "Frames with contact that a valid press needs up to the target.",
         minimum=0,
         maximum=1000,
+        runtime=True,
+    )
+    least_moisture: float = setting(
+        1.0,
+        "Least moisture reading that counts; a probe in the air reads 0.",
+        "a.u.",
+        *MOISTURE_RANGE,
+        runtime=True,
+        advice="Lower it for a source that reads less on dry skin.",
+    )
+    moisture_spread: float = setting(
+        20.0,
+        "Range of the readings of one step beyond which a warning is given; three times the "
+        "largest deviation within a condition of the paper.",
+        "a.u.",
+        *MOISTURE_RANGE,
         runtime=True,
     )
     verdict_time: float = setting(

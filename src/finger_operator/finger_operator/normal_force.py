@@ -23,6 +23,11 @@ def normal_axis_setting(advice: str) -> str:
     )
 
 
+def wrench_topic_setting() -> str:
+    """Field of Settings: the topic of the force."""
+    return setting("wrench", "Topic of the tared force; the model's parameter of the same name.")
+
+
 class NormalForce:
     """Projects wrenches on a normal axis; cheap enough for every sample of a 500 Hz stream."""
 

@@ -61,6 +61,7 @@ from .page.feed import (
 )
 from .page.server import PageServer
 from .page.settings import PageSettings
+from .protocol import PRESSING
 from .readiness import Problem, Readiness, refusal
 from .status_message import status_of
 
@@ -140,7 +141,9 @@ class PageNode(ManagedNode):
         qos = self.stream_qos()
         deep = self.stream_qos(max(self.values["qos_depth"], POLLED_DEPTH))
         # An executor round for each sample of two 500 Hz streams would delay the cue.
-        self._wrench = self.create_polled_subscription(WrenchStamped, "wrench", deep)
+        self._wrench = self.create_polled_subscription(
+            WrenchStamped, self.values["wrench_topic"], deep
+        )
         self._state = self.create_polled_subscription(ContactState, "contact_state", deep)
         self.create_stream_subscription(ContactArea, "contact_area", self._on_area, qos)
         self._moisture = self.create_stream_subscription(
@@ -218,7 +221,8 @@ class PageNode(ManagedNode):
         self._server.publish("contact", {"area": area, "doubt": doubtful})
 
     def _on_moisture(self, message: Moisture) -> None:
-        self._server.publish("moisture", {"value": message.value, "flags": message.flags})
+        came = round(seconds(self.sample_time()), 3)
+        self._server.publish("moisture", {"value": round(message.value, 3), "time": came})
 
     def _on_trial(self, message: Trial) -> None:
         phase = TrialPhase(message.phase)
@@ -258,6 +262,7 @@ class PageNode(ManagedNode):
                 "ages": ages,
                 "tared": self._readiness.tared,
                 "problems": problems,
+                "probe": self._readiness.warning("moisture"),
             },
         )
 
@@ -377,6 +382,8 @@ class PageNode(ManagedNode):
                 raise InputError(reason)
         if name == "curves":
             self._publish_curves()
+        if name == "tare" and step in PRESSING and self._readiness.tared:
+            raise InputError("not tared: a press is under way; tare when it is over")
         if name == "moisture":
             phase = {
                 "moisture_before": Moisture.PHASE_BEFORE,

@@ -8,13 +8,33 @@ from __future__ import annotations
 import math
 from enum import Enum
 
+import numpy as np
+
 from finger_common.contact_threshold import in_contact
-from finger_common.flags import AreaFlag
 from finger_common.guided_presses import LET_GO, TOO_HARD, GuidedPress
-from finger_common.stamps import seconds
+from finger_common.stamps import nanoseconds, seconds
+from finger_common.usable_press import Frames, frames_of_press
 
 from .attempt import Attempt
+from .force_window import ForceWindow
 from .limits import Limits
+
+SHORT = 0.02
+"""s over whose mean a force counts as reached, so that no single sample does: as much as a fit
+smooths."""
+
+REST = 0.5
+"""s over which the force of the free plate is averaged, and over which a force is steady."""
+
+STEADY = 0.02
+"""N by which a steady force changes within REST."""
+
+LONGEST_EDGE = 3.5
+"""Periods of the camera at begin and end of a press without a frame: the last ones of a slow
+computer may still be on their way."""
+
+LARGEST_REST = 0.15
+"""N; a steady force beyond it is that of a finger, where the camera does not say otherwise."""
 
 
 class PressEvent(Enum):
@@ -40,11 +60,32 @@ class Press:
         self._touch_came: int | None = None
         self.problems: list[str] = []
         self._below_since: int | None = None
+        self._touching = False
+        self._began: int | None = None
+        """Stamp of the first sample of the contact, the last one where it was interrupted."""
+        self._peak_before: float | None = None
+        """N, largest force until the finger was off the plate after the cue to lift."""
+        self._newest: float | None = None
+        self._largest_fall = 0.0
+        self._short, self._recent = ForceWindow(SHORT), ForceWindow(REST)
+        self._highest = 0.0
+        self._rest_before = math.nan
+        self._frames: list[tuple[int, float, int]] = []
 
     def add_problem(self, text: str) -> None:
         """Note why the press is not valid; one problem of a kind is enough."""
         if not any(p.split(" ")[:3] == text.split(" ")[:3] for p in self.problems):
             self.problems.append(text)
+
+    def add_rest(self, stamp_ns: int, normal_force: float) -> None:
+        """One force in N of the free plate, before the cue to press."""
+        self._recent.add(stamp_ns, normal_force)
+        self._rest_before = self._recent.mean
+
+    def forget_rest(self) -> None:
+        """The plate was not free."""
+        self._recent.clear()
+        self._rest_before = math.nan
 
     def add_force(
         self,
@@ -58,9 +99,10 @@ class Press:
         if not math.isfinite(normal_force):
             self.add_problem("the force sensor reported invalid samples")
             return None
-        if attempt.onset_ns is None and in_contact(False, normal_force, limits.onset_force):
+        self._follow(stamp_ns, normal_force)
+        if attempt.onset_ns is None:
             # Before the check for gaps: a gap that ends at the first touch counts.
-            attempt.onset_ns = stamp_ns
+            attempt.onset_ns = self._began
         if attempt.onset_ns is not None and previous_ns is not None:
             gap = seconds(stamp_ns - previous_ns)
             attempt.longest_gap = max(attempt.longest_gap, gap)
@@ -81,10 +123,33 @@ class Press:
             self._below_since = None
         elif self._below_since is None:
             self._below_since = stamp_ns
+            if attempt.cue_ns is not None:
+                self._peak_before = attempt.peak_force
         elif seconds(stamp_ns - self._below_since) >= limits.release_time:
             attempt.lifted_ns = self._below_since
             return PressEvent.FINGER_OFF
         return None
+
+    def _follow(self, stamp_ns: int, normal_force: float) -> None:
+        """Note what is judged when the finger is off."""
+        limits = self.limits
+        was = self._touching
+        self._touching = in_contact(was, normal_force, limits.onset_force, limits.liftoff_force)
+        if self._touching and not was and self.attempt.cue_ns is None:
+            self._began = stamp_ns
+        if self._newest is not None:
+            self._largest_fall = max(self._largest_fall, self._newest - normal_force)
+        if self._peak_before is not None and normal_force > self._peak_before:
+            self.add_problem("pressed again, and harder, before the finger was off")
+        self._newest = normal_force
+        for window in (self._short, self._recent):
+            window.add(stamp_ns, normal_force)
+        self._highest = max(self._highest, self._short.mean)
+
+    def fell_by(self, force: float) -> bool:
+        """Whether the force fell by about as much (N) from one sample to the next, as no finger
+        lets it: the zero was set to a force."""
+        return self._largest_fall >= 0.5 * force
 
     def _cue(
         self, stamp_ns: int, normal_force: float, tangential_force: float
@@ -117,29 +182,10 @@ class Press:
         return seconds(stamp_ns - self._reached) >= guided.hold
 
     def add_area(
-        self,
-        stamp_ns: int,
-        area: float,
-        flags: int,
-        previous_ns: int | None,
-        stick_ratio: float = math.nan,
+        self, stamp_ns: int, area: float, flags: int, stick_ratio: float = math.nan
     ) -> None:
-        """One contact area in m². previous_ns: stamp of the one before. stick_ratio: NaN if the
-        camera does not tell."""
-        attempt = self.attempt
-        if attempt.onset_ns is None or stamp_ns < attempt.onset_ns:
-            return
-        began = max(previous_ns or 0, attempt.onset_ns)
-        released = self._below_since if attempt.cue_ns is not None else None
-        if released is None or stamp_ns < released:
-            self._note_frame_gap(seconds(stamp_ns - began))
-            if not flags & AreaFlag.NO_CONTACT and area > 0:
-                attempt.frames += 1
-
-    def _note_frame_gap(self, gap: float) -> None:
-        self.attempt.longest_frame_gap = max(self.attempt.longest_frame_gap, gap)
-        if self.limits.need_camera and gap > self.limits.frame_gap_limit:
-            self.add_problem(f"camera frames missing for {gap:.2f} s")
+        """One contact area in m². stick_ratio: NaN if the camera does not tell."""
+        self._frames.append((stamp_ns, area, flags))
 
     def overdue(self, now_ns: int, in_step: float) -> str:
         """Which limit of time has passed; empty when none.
@@ -148,8 +194,9 @@ class Press:
         """
         attempt, limits = self.attempt, self.limits
         if attempt.cue_ns is not None:
-            late = in_step > limits.lift_timeout
-            return f"finger not lifted within {limits.lift_timeout:g} s of the cue" if late else ""
+            if in_step <= limits.lift_timeout:
+                return ""
+            return f"finger not lifted within {limits.lift_timeout:g} s of the cue{self._stays()}"
         if attempt.onset_ns is None:
             late = in_step > limits.press_timeout
             return f"no press within {limits.press_timeout:g} s" if late else ""
@@ -162,28 +209,97 @@ class Press:
             )
         return ""
 
-    def verdict(self, newest_area_ns: int | None) -> str:
+    def _stays(self) -> str:
+        """That the force stands still as on a free plate, to be added to a sentence; empty where it
+        does not."""
+        level = self._recent.mean
+        seen = self._sorted_frames().measured[-2:]
+        free = len(seen) == 2 and not seen.any()
+        if not self._recent.unrest <= STEADY or not (free or abs(level) <= LARGEST_REST):
+            return ""
+        moved = level if math.isnan(self._rest_before) else level - self._rest_before
+        return (
+            f": the force stays at {level:.2f} N; if the finger is off the plate, the zero moved "
+            f"by {moved:+.2f} N: tare"
+        )
+
+    def with_problems(self, reason: str) -> str:
+        """Why the press is not valid: what was noticed on the way, then the reason for its end."""
+        return "; ".join(filter(None, [*self.problems, reason]))
+
+    def verdict(self) -> str:
         """Why the press is not valid, empty when it is; once the finger is off the plate."""
-        attempt = self.attempt
-        if attempt.cue_ns is None and self._reached is not None:
-            return f"lifted before the cue: the force must be held for {self.guided.hold:g} s"
-        if attempt.cue_ns is None:
-            return (
-                f"lifted at {attempt.peak_force:.2f} N, before the target of "
-                f"{self.target_force:.2f} N"
-            )
-        if self.guided.text and attempt.peak_force > TOO_HARD * self.target_force:
+        attempt, target = self.attempt, self.target_force
+        self._judge_zero()
+        if self.guided.text and attempt.peak_force > TOO_HARD * target:
             self.add_problem(
-                f"pressed too hard: {attempt.peak_force:.2f} N, {self.target_force:.2f} N are asked"
+                f"pressed too hard: {attempt.peak_force:.2f} N, {target:.2f} N are asked"
             )
-        if self.limits.need_camera:
-            assert attempt.lifted_ns is not None and attempt.onset_ns is not None
-            # Frames up to lift-off have come by now (release_time), unless the camera stopped.
-            newest = max(newest_area_ns or 0, attempt.onset_ns)
-            self._note_frame_gap(seconds(attempt.lifted_ns - newest))
-            if attempt.frames < self.limits.minimum_frames:
-                self.add_problem(
-                    f"contact seen in {attempt.frames} frames, "
-                    f"{self.limits.minimum_frames} are needed"
-                )
-        return "; ".join(self.problems)
+        # Frames up to lift-off have come by now (release_time), unless the camera stopped.
+        self._judge_frames()
+        return self.with_problems(self._unfinished())
+
+    def _unfinished(self) -> str:
+        """Why the finger was off too early; empty where it was not."""
+        attempt = self.attempt
+        if attempt.cue_ns is not None:
+            return ""
+        if self._reached is not None:
+            return f"lifted before the cue: the force must be held for {self.guided.hold:g} s"
+        return (
+            f"lifted at {attempt.peak_force:.2f} N, before the target of {self.target_force:.2f} N"
+        )
+
+    def _judge_zero(self) -> None:
+        """Compare the free plate after the press with that before it, and both with the target."""
+        assert self._below_since is not None
+        # The second half: the finger leaves the plate in the first one.
+        free_since = self._below_since + nanoseconds(0.5 * self.limits.release_time)
+        after, before = self._recent.mean_since(free_since), self._rest_before
+        if abs(after - before) > self.limits.zero_limit:
+            self.add_problem(f"the zero moved by {after - before:+.2f} N: tare")
+        known = [level for level in (before, after) if math.isfinite(level)]
+        zero = sum(known) / len(known) if known else 0.0
+        # A fit takes a zero off only where it is steady: a negative one gives no press its target.
+        zero = max(zero, 0.0)
+        reached = self._highest - zero
+        if self.attempt.cue_ns is not None and reached < self.target_force:
+            self.add_problem(
+                f"the force reached {reached:.2f} of {self.target_force:.2f} N where single "
+                f"samples and the zero of {zero:.2f} N are left out"
+            )
+
+    def _sorted_frames(self) -> Frames:
+        """All frames since the cue to press, times in s from the first contact."""
+        frames = sorted(self._frames)
+        stamps = np.array([stamp for stamp, _, _ in frames], np.int64)
+        return Frames(
+            (stamps - (self._began or 0)) * 1e-9,
+            np.array([area for _, area, _ in frames], float),
+            np.array([flags for _, _, flags in frames], np.int64),
+        )
+
+    def _judge_frames(self) -> None:
+        """By the rules of a fit, and to the end of the press."""
+        attempt, limits, began = self.attempt, self.limits, self._began
+        assert began is not None and attempt.lifted_ns is not None
+        frames, lifted = self._sorted_frames(), seconds(attempt.lifted_ns - began)
+        pressed = (frames.time >= 0.0) & (frames.time <= lifted)
+        attempt.frames = int(np.count_nonzero(frames.measured & pressed))
+        times = np.concatenate([[0.0], frames.time[pressed], [lifted]])
+        attempt.longest_frame_gap = gap = float(np.diff(times).max())
+        if not limits.need_camera or attempt.cue_ns is None:
+            return
+        # A fit uses the frames up to the target, where a calibration uses all of the press.
+        windows: list[float | None] = [None]
+        if self._reached is not None and not self.guided.text:
+            windows.insert(0, seconds(self._reached - began))
+        for until in windows:
+            _, fault = frames_of_press(
+                frames, 0.0, lifted, until, limits.frame_gap_limit, limits.minimum_frames
+            )
+            if fault:
+                self.add_problem(fault)
+                return
+        if gap > (limits.frame_gap_limit or LONGEST_EDGE * frames.period):
+            self.add_problem(f"camera frames missing for {gap:.2f} s")

@@ -35,7 +35,7 @@ from finger_common.stamps import NANOSECONDS, seconds
 from finger_common.subject_code import finger_name
 from finger_common.trial_phases import TrialPhase
 
-from .attempt import Attempt, TrialState
+from .attempt import Attempt, TrialState, scattered
 from .event_log import Event, EventLog, note_text, utc_time
 from .inputs import Inputs
 from .limits import Limits
@@ -79,6 +79,7 @@ PHASE_OF = {
 """Announced phases of the steps that are no phase of their own."""
 
 PRESSING = (Step.PRESS, Step.PULL, Step.LIFT)
+"""Steps in which a finger may be on the plate."""
 
 UNDER_WAY = (Step.MOISTURE_BEFORE, Step.CLEAR, *PRESSING, Step.MOISTURE_AFTER)
 """Steps of an attempt that is being recorded."""
@@ -92,11 +93,23 @@ GUIDANCE_TIME = 3.0
 WAITING_TIME = 300.0
 """s without a reading, or without a free plate, after which an attempt that is recorded ends."""
 
+ZERO_TOLD = 2.0
+"""s after a press within which a report of a zero may be of one that was set during it."""
+
 WRITE_AGAIN = 5.0
 """s between attempts to write what could not be written."""
 
 FIT_TIME = 120.0
 """s to wait for the result of a calibration: a second of work, on a busy machine a minute."""
+
+
+def _shift(before: str, after: str) -> float:
+    """Force in N between two zeros as their driver tells them; 0 where that is not known."""
+    try:
+        first, second = ([float(v) for v in zero.split(",")[:3]] for zero in (before, after))
+        return math.dist(first, second)
+    except ValueError:
+        return 0.0
 
 
 class Protocol:
@@ -136,6 +149,7 @@ class Protocol:
         """Stamp of the sample that brought the step, where one did."""
         self.recording = Recording(effects)
         self._zero = ""
+        self._lifted_at = 0
         self._last_progress = 0
         self._inputs = Inputs()
         self._known_result = ""
@@ -449,6 +463,11 @@ class Protocol:
         along the plate; NaN for an invalid one."""
         previous = self._inputs.force_stamp
         self._inputs.add_force(stamp_ns, normal_force, self._now)
+        if self.step is Step.CLEAR and self._clear_since is not None and self._press is not None:
+            if abs(normal_force) < self.limits.onset_force:
+                self._press.add_rest(stamp_ns, normal_force)
+            else:  # a press that begins before its cue would not be found in the bag
+                self._plate_taken()
         if self.paused or self.step not in PRESSING or self._press is None:
             return
         event = self._press.add_force(stamp_ns, normal_force, previous, tangential_force)
@@ -457,7 +476,8 @@ class Protocol:
         elif event is PressEvent.PULL_BEGINS:
             self._enter(Step.PULL, stamp_ns)
         elif event is PressEvent.FINGER_OFF:
-            reason = self._press.verdict(self._inputs.area_stamp)
+            self._lifted_at = self._now
+            reason = self._press.verdict()
             if reason:
                 self._fail(reason)
             elif self.plan.readings:
@@ -467,10 +487,9 @@ class Protocol:
 
     def area(self, stamp_ns: int, area: float, flags: int, stick_ratio: float = math.nan) -> None:
         """One contact area (m²) with its quality flags, and the stick ratio where it is known."""
-        previous = self._inputs.area_stamp
         self._inputs.add_area(stamp_ns, area, flags, self._now)
         if not self.paused and self.step in PRESSING and self._press is not None:
-            self._press.add_area(stamp_ns, area, flags, previous, stick_ratio)
+            self._press.add_area(stamp_ns, area, flags, stick_ratio)
 
     def moisture(self, stamp_ns: int, value: float) -> None:
         """One moisture reading in a.u."""
@@ -500,12 +519,19 @@ class Protocol:
             )
             self._announce()
             return
+        if value < self.limits.least_moisture:
+            self.message = f"Reading {value:g}: no contact with the skin; take another."
+            self._announce()
+            return
         before = self.step is Step.MOISTURE_BEFORE
         readings = self._attempt.moisture_before if before else self._attempt.moisture_after
         readings.append(value)
         self._last_progress = self._now
         self.message = ""
         if len(readings) >= self.plan.readings:
+            step = "before" if before else "after"
+            if warning := scattered(step, readings, self.limits.moisture_spread):
+                self._log("warning", warning)
             self._enter(Step.CLEAR) if before else self._close()
         else:
             self.save()
@@ -520,11 +546,25 @@ class Protocol:
                 self._press.add_problem(f"{name}: {message}")
 
     def tared(self, zero: str, now_ns: int) -> None:
-        """The zero that was subtracted from the force, as its driver tells it."""
+        """The zero that is subtracted from the force, as its driver tells it once a second: numbers
+        with commas between, the first three in N.
+
+        A zero that was set to the force of a finger reads as lift-off: such a press is void, also
+        where it is over by the time of the report.
+        """
         self._now = max(self._now, now_ns)
-        if zero != self._zero:
-            self._zero = zero
-            self._log("command", f"force tared, zero at {zero}")
+        if zero == self._zero:
+            return
+        shift, self._zero = _shift(self._zero, zero), zero
+        self._log("command", f"force tared, zero at {zero}")
+        just_over = (
+            self.step in (Step.MOISTURE_AFTER, Step.CLOSING, Step.DONE)
+            and seconds(self._now - self._lifted_at) <= ZERO_TOLD
+        )
+        if self._press is None or not (self.step in PRESSING or just_over):
+            return
+        if shift > self.limits.zero_limit and self._press.fell_by(shift):
+            self._fail(self._press.with_problems("the zero was changed during the press"))
 
     def recorder_writes(self, bag: str, now_ns: int) -> None:
         """What the recorder itself says that it writes, again and again; "no" for no bag."""
@@ -612,7 +652,7 @@ class Protocol:
 
     def _await_clear_plate(self, in_step: float) -> None:
         if self.waiting_for():
-            self._clear_since = None
+            self._plate_taken()
             if self.recording.state is RecordingState.STARTING and self._recorder_is_late():
                 self.recorder_started(False, "no answer", self._now)
             else:
@@ -622,13 +662,19 @@ class Protocol:
         elif seconds(self._now - self._clear_since) >= self.limits.clear_time:
             self._enter(Step.PRESS)
 
+    def _plate_taken(self) -> None:
+        """The wait for a free plate begins again."""
+        self._clear_since = None
+        if self._press is not None:
+            self._press.forget_rest()
+
     def _check_time(self, in_step: float) -> None:
         """Fail a press whose force is missing or that exceeds a limit of time."""
         assert self._press is not None
         if self._inputs.force_fell_silent(self._now, self.limits):
-            self._fail("the force sensor fell silent")
+            self._fail(self._press.with_problems("the force sensor fell silent"))
         elif reason := self._press.overdue(self._now, in_step):
-            self._fail(reason)
+            self._fail(self._press.with_problems(reason))
 
     def _await_recorder(self, in_step: float) -> None:
         if self._recorder_is_late():
@@ -726,11 +772,12 @@ class Protocol:
     def _conclude_failed(self, reason: str) -> None:
         attempt = self._attempt
         attempt.verdict, attempt.reason, attempt.ended_ns = "failed", reason, self._now
+        self.trials[self.current].verdict = "pending"
         self._log("failed", reason)
 
     def _fail(self, reason: str) -> None:
         self._conclude_failed(reason)
-        closing = self.step is Step.CLOSING
+        closing = self.step in (Step.CLOSING, Step.DONE)
         self._enter(Step.FAILED)
         if self.limits.need_recorder and not closing:
             self.recording.stop(self._now)

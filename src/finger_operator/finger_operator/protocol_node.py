@@ -55,7 +55,7 @@ from finger_msgs.srv import Record
 
 from .conditions import NAME
 from .limits import Limits
-from .normal_force import NormalForce, normal_axis_setting
+from .normal_force import NormalForce, normal_axis_setting, wrench_topic_setting
 from .protocol import Effect, Protocol, Step
 from .readiness import TARE_NEEDED, refusal, tared_by
 from .recorder_requests import RecorderRequests
@@ -129,6 +129,7 @@ class ProtocolSettings(Settings):
         advice="Use a disk that takes 20 MB/s; a session of 45 trials with images needs about "
         f"{45 * USUAL_SIZE / GIGABYTE:.0f} GB.",
     )
+    wrench_topic: str = wrench_topic_setting()
     normal_axis: str = normal_axis_setting(
         "If the cue to lift never comes although the force passes the target, try the opposite "
         "sign."
@@ -197,7 +198,9 @@ class ProtocolNode(ManagedNode):
         qos = self.stream_qos()
         deep = self.stream_qos(max(self.values["qos_depth"], POLLED_DEPTH))
         self._tared: bool | None = None
-        self._wrench = self.create_polled_subscription(WrenchStamped, "wrench", deep)
+        self._wrench = self.create_polled_subscription(
+            WrenchStamped, self.values["wrench_topic"], deep
+        )
         self.create_stream_subscription(ContactArea, "contact_area", self._on_area, qos)
         self.create_stream_subscription(Moisture, "moisture", self._on_moisture, qos)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
@@ -266,7 +269,7 @@ class ProtocolNode(ManagedNode):
         except InputError as error:
             self.log_fault(self._health, "state_file", one_line(error), WARN)
             return
-        self.get_logger().info(f"session {name} resumed at trial {self._protocol.current}")
+        self.get_logger().info(f"session {name} resumed at trial {self._protocol.current + 1}")
 
     def _new_session(self, calibration: bool = False) -> Protocol:
         values = self.values

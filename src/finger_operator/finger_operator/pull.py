@@ -98,14 +98,9 @@ class Pull(Press):
         return values[2 * part :]
 
     def add_area(
-        self,
-        stamp_ns: int,
-        area: float,
-        flags: int,
-        previous_ns: int | None,
-        stick_ratio: float = math.nan,
+        self, stamp_ns: int, area: float, flags: int, stick_ratio: float = math.nan
     ) -> None:
-        super().add_area(stamp_ns, area, flags, previous_ns, stick_ratio)
+        super().add_area(stamp_ns, area, flags, stick_ratio)
         begin = self.attempt.pull_ns
         if begin is None or stamp_ns < begin:
             return
@@ -124,10 +119,10 @@ class Pull(Press):
             return f"not slipped within {limits.pull_timeout:g} s: {self._reached_ratio}"
         return ""
 
-    def verdict(self, newest_area_ns: int | None) -> str:
+    def _unfinished(self) -> str:
         if self.attempt.pull_ns is not None and self.attempt.cue_ns is None:
             return f"lifted before it slipped: {self._reached_ratio}"
-        return super().verdict(newest_area_ns)
+        return super()._unfinished()
 
     @property
     def _reached_ratio(self) -> str:

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
-from finger_common.diagnostics import ERROR, STARTING, cause_of
+from finger_common.diagnostics import ERROR, STARTING, WARN, cause_of
 
 STREAM_SILENT = 0.6
 """s without a sample of a stream until it counts as silent."""
@@ -189,6 +189,11 @@ class Readiness:
         reports = self._reports.get(node, {}).values()
         newest = max((report.came for report in reports), default=0.0)
         return [report for report in reports if newest - report.came <= REPORT_ENDS]
+
+    def warning(self, node: str) -> str:
+        """The warning of a node's newest reports, empty for none; faults are `problems`."""
+        reports = self._newest_reports(node)
+        return next((report.message for report in reports if report.level == WARN), "")
 
     def _problem(self, device: Device, now: float, needed: bool) -> Problem | None:
         if not needed and not self._beats.keys() & set(device.nodes):

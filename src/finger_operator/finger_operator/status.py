@@ -19,7 +19,7 @@ from typing import Any
 from finger_common.guided_pulls import PULL_TEXT, is_pull
 from finger_common.stamps import seconds
 
-from .attempt import TrialState
+from .attempt import TrialState, scattered
 from .event_log import Event
 from .protocol import Protocol, Step
 from .study_plan import CLEAN_PLATE, CLEAN_PLATE_PULL, PlanSettings, preparation_of
@@ -233,6 +233,11 @@ def _warnings(protocol: Protocol, disk: dict[str, Any], earlier_sessions: list[s
             f"The disk has {room if number else 'no room for another trial'}. Delete files that "
             "are not needed, or end the session early."
         )
+    trial = protocol.trials[protocol.current]
+    if trial.attempts and protocol.step is not Step.PREPARE:
+        attempt, limit = trial.attempts[-1], protocol.limits.moisture_spread
+        readings = {"before": attempt.moisture_before, "after": attempt.moisture_after}
+        found += filter(None, (scattered(step, r, limit) for step, r in readings.items()))
     if earlier_sessions:
         found.append(used_subject(protocol.plan.subject, earlier_sessions))
     return found

@@ -32,6 +32,8 @@ class Rig:
         self.force_on = self.camera_on = True
         self.print_left = False
         self.force = 0.0
+        self.zero = 0.0
+        """N, what the sensor reads as none; the camera sees the finger all the same."""
         self.force_offset = 0
         self.folder = folder
         self.protocol = Protocol(
@@ -70,7 +72,7 @@ class Rig:
             share = (self.now - begin) / (end - begin)
             self.force = first + (target - first) * share if ramp else target
             if self.force_on:
-                self.protocol.wrench(self.now + self.force_offset, self.force)
+                self.protocol.wrench(self.now + self.force_offset, self.force - self.zero)
             if self.now >= self.next_frame:
                 self.next_frame += 100_000_000
                 if self.camera_on:
@@ -82,6 +84,10 @@ class Rig:
                 self.protocol.tick(self.now)
                 self.answer_recorder()
         self.force = target
+
+    def tell_zero(self) -> None:
+        """What the force driver reports of its zero each second."""
+        self.protocol.tared(f"0, 0, {-self.zero:.5g}, 0, 0, 0", self.now)
 
     def readings(self, *values: float) -> None:
         for value in values:

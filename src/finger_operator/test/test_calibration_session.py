@@ -138,6 +138,17 @@ def test_a_press_that_is_not_the_one_asked_for_is_repeated(
     assert session.verdict == ""
 
 
+def test_a_tap_may_be_too_quick_for_a_fit_of_its_loading(session: Session) -> None:
+    """Two frames until the target; the calibration uses the release, too."""
+    for _ in range(2):
+        session.to_press()
+        session.press()
+        session.run(2.0)
+    session.to_press()
+    session.press(rise=0.1)
+    assert session.verdict == "" and session.protocol.step is not Step.FAILED
+
+
 def test_without_an_answer_the_model_node_is_named(session: Session) -> None:
     for _ in CALIBRATION_PRESSES:
         session.to_press()

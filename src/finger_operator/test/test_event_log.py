@@ -133,3 +133,18 @@ def test_device_faults_are_logged_once_with_their_end(rig: Rig) -> None:
     rig.protocol.health("camera", 0, "", rig.now)
     faults = [e.text for e in rig.protocol.log.events if e.kind == "fault"]
     assert faults == ["camera: no frame for 2 s", "camera: over"]
+
+
+def test_another_fault_of_a_device_is_logged_while_the_first_lasts(rig: Rig) -> None:
+    told = ("no frame for 2 s", "no frame for 3 s", "lens cap on", "no frame for 4.5 s")
+    for text in told:
+        rig.protocol.health("camera", 2, text, rig.now)
+    rig.protocol.health("camera", 0, "", rig.now)
+    rig.protocol.health("camera", 2, "lens cap on", rig.now)
+    faults = [e.text for e in rig.protocol.log.events if e.kind == "fault"]
+    assert faults == [
+        "camera: no frame for 2 s",
+        "camera: lens cap on",
+        "camera: over",
+        "camera: lens cap on",
+    ]

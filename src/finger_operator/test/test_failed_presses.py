@@ -6,10 +6,12 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import pytest
 from study_rig import Rig, expect_failure
 
+from finger_operator.limits import Limits
 from finger_operator.protocol import Step
 from finger_operator.status import session_status
 
@@ -73,16 +75,48 @@ def test_missing_frames_fail_the_trial(rig: Rig) -> None:
     rig.run(0.6)
     rig.camera_on = True
     rig.press()
-    expect_failure(rig, "camera frames missing for 0.")
+    expect_failure(rig, "6 frames in a row were dropped")
+    assert rig.protocol.trials[0].attempts[0].longest_frame_gap == pytest.approx(0.7, abs=0.01)
 
 
-def test_camera_that_stops_before_lift_off_fails_the_trial(rig: Rig) -> None:
+def test_camera_that_stops_before_the_target_fails_the_trial(rig: Rig) -> None:
     rig.to_press()
     rig.run(1.0, 1.2, ramp=True)
     rig.camera_on = False
     rig.run(0.8)
     rig.press()
-    expect_failure(rig, "camera frames missing")
+    expect_failure(rig, "no frame at the target force")
+
+
+def test_camera_that_stops_before_lift_off_fails_the_trial(rig: Rig) -> None:
+    rig.to_press()
+    rig.run(1.2, 1.45, ramp=True)
+    rig.camera_on = False
+    rig.run(0.3)
+    rig.run(0.2, 0.0, ramp=True)
+    rig.run(0.7)
+    expect_failure(rig, "camera frames missing for 0.")
+
+
+def test_a_gap_between_frames_may_be_allowed_for_a_rehearsal(tmp_path: Path) -> None:
+    rig = Rig(tmp_path, limits=Limits(frame_gap_limit=0.35))
+    rig.protocol.start(rig.now)
+    rig.to_press()
+    rig.run(0.5, 0.7, ramp=True)
+    rig.camera_on = False
+    rig.run(0.1)
+    rig.camera_on = True
+    rig.press()
+    assert rig.protocol.step is Step.MOISTURE_AFTER
+
+
+def test_what_was_noticed_is_said_before_how_the_press_ended(rig: Rig) -> None:
+    rig.to_press()
+    rig.run(0.3, 0.5, ramp=True)
+    rig.protocol.health("force", 2, "gauge saturated", rig.now)
+    rig.run(0.5, 0.0)
+    rig.run(0.7)
+    expect_failure(rig, "force: gauge saturated; lifted at 0.50 N")
 
 
 def test_contact_not_seen_fails_the_trial(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -90,7 +124,7 @@ def test_contact_not_seen_fails_the_trial(rig: Rig, monkeypatch: pytest.MonkeyPa
     area = rig.protocol.area
     monkeypatch.setattr(rig.protocol, "area", lambda stamp, *_: area(stamp, 0.0, 1))
     rig.press()
-    expect_failure(rig, "contact seen in 0 frames")
+    expect_failure(rig, "areas were measured in 0 frames")
 
 
 def test_sensor_silent_during_the_press_fails_at_once_and_waits_until_it_is_back(rig: Rig) -> None:

@@ -19,6 +19,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
+from finger_common.errors import InputError
 from finger_operator.study_plan import PREPARATIONS
 
 
@@ -151,8 +152,9 @@ def test_commands_reach_the_protocol_and_its_cues_come_back(
 
 
 @contextmanager
-def page_here(ros_domain: int, port: int) -> Iterator[tuple[Any, dict[str, Any]]]:
-    """The node in this process, active, and the newest that it has published of each kind."""
+def page_here(ros_domain: int, port: int, **values: Any) -> Iterator[tuple[Any, dict[str, Any]]]:
+    """The node in this process, active, and the newest that it has published of each kind. values:
+    parameters beside the port."""
     import rclpy
     from rclpy.parameter import Parameter
 
@@ -160,7 +162,8 @@ def page_here(ros_domain: int, port: int) -> Iterator[tuple[Any, dict[str, Any]]
 
     context = rclpy.Context()
     rclpy.init(context=context, domain_id=ros_domain)
-    node = PageNode(context=context, parameter_overrides=[Parameter("port", value=port)])
+    overrides = [Parameter(name, value=value) for name, value in {"port": port, **values}.items()]
+    node = PageNode(context=context, parameter_overrides=overrides)
     told: dict[str, Any] = {}
     try:
         assert node.bring_up()
@@ -304,3 +307,67 @@ def test_a_reading_that_does_not_count_is_not_confirmed(
         good, sentence = asyncio.run(node._command("moisture", {"value": 44.4}))
     assert good is counts and "44.4 a.u. published" in sentence
     assert ("it does not count" in sentence) is not counts
+
+
+def test_no_zero_is_set_during_a_press(ros_domain: int, free_port: Callable[[], int]) -> None:
+    """With a finger on the plate it would read as lift-off. A force without a zero may get one."""
+    from std_srvs.srv import Trigger
+
+    async def tared(service: str, request: Any) -> Any:
+        return Trigger.Response(success=True, message="tared")
+
+    with page_here(ros_domain, free_port()) as (node, _):
+        node._call, node._in_node = tared, here
+        for known, step, good in (
+            ("yes", "press", False),
+            ("yes", "pull", False),
+            ("yes", "lift", False),
+            ("no", "press", True),
+            ("yes", "moisture_after", True),
+            ("yes", "clear", True),
+        ):
+            node._readiness.report("force", "force", 0, "", {"tared": known}, time.monotonic())
+            node._status = {"step": step}
+            try:
+                answer = asyncio.run(node._command("tare", {}))
+            except InputError as refused:
+                answer = False, str(refused)
+            assert answer[0] is good, (known, step)
+            assert good or "a press is under way" in answer[1]
+
+
+def test_a_reading_and_the_warning_of_its_probe_are_told(
+    ros_domain: int, free_port: Callable[[], int]
+) -> None:
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+
+    from finger_msgs.msg import Moisture
+
+    with page_here(ros_domain, free_port()) as (node, told):
+        node._on_moisture(Moisture(value=42.0))
+        assert told["moisture"]["value"] == 42.0
+        assert abs(told["moisture"]["time"] - node.sample_time() * 1e-9) < 20.0
+        for level, said in ((b"\x01", "a line broke off"), (b"\x00", "")):
+            status = DiagnosticStatus(level=level, name="moisture: probe", message=said)
+            node._on_diagnostics(DiagnosticArray(status=[status]))
+            node._alive()
+            assert told["alive"]["probe"] == said
+
+
+def test_the_page_shows_the_force_of_the_topic_that_the_model_reads(
+    ros_domain: int, free_port: Callable[[], int]
+) -> None:
+    from geometry_msgs.msg import WrenchStamped
+
+    with page_here(ros_domain, free_port(), wrench_topic="wrench_turned") as (node, _):
+        force = node.create_publisher(WrenchStamped, "wrench_turned", 10)
+        message = WrenchStamped()
+        message.header.stamp.sec = 5
+        message.wrench.force.z = -1.35
+        end = time.monotonic() + 20
+        while node._last_force != 5 * 10**9:
+            assert time.monotonic() < end
+            force.publish(message)
+            node._poll()
+            time.sleep(0.02)
+        assert node._memory.at(5 * 10**9) == pytest.approx(1.35)

@@ -145,6 +145,43 @@ def test_readings_outside_the_scale_or_of_another_time_do_not_count(rig: Rig) ->
     assert rig.attempt.moisture_before == [50.0]
 
 
+def test_a_probe_in_the_air_gives_no_reading(rig: Rig) -> None:
+    rig.run(0.2)
+    rig.protocol.start(rig.now)
+    rig.readings(0.0, 0.0, 0.0, 0.4)
+    assert rig.protocol.step is Step.MOISTURE_BEFORE and rig.attempt.moisture_before == []
+    assert rig.last.note == "Reading 0.4: no contact with the skin; take another."
+    assert rig.last.note in session_status(rig.protocol)["instruction"]
+    rig.readings(2.0, 3.0, 4.0)
+    assert rig.attempt.moisture_before == [2.0, 3.0, 4.0], "skin may be dry"
+
+
+def test_a_source_that_reads_nothing_on_skin_may_be_allowed(tmp_path: Path) -> None:
+    rig = Rig(tmp_path, limits=Limits(least_moisture=0.0))
+    rig.protocol.start(rig.now)
+    rig.run(0.2)
+    rig.protocol.start(rig.now)
+    rig.readings(0.0, 0.0, 0.0)
+    assert rig.attempt.moisture_before == [0.0, 0.0, 0.0]
+
+
+def test_readings_that_lie_far_apart_are_named_and_kept(rig: Rig) -> None:
+    rig.run(0.2)
+    rig.protocol.start(rig.now)
+    rig.readings(5.0, 120.0, 37.0)
+    said = "The readings before the press are 115 a.u. apart (5, 120, 37)."
+    assert session_status(rig.protocol)["warnings"][0].startswith(said)
+    rig.run(1.0)
+    rig.press()
+    rig.readings(36.0, 37.0, 55.0)
+    rig.run(0.3)
+    assert rig.attempt.verdict == "done"
+    warned = [e for e in rig.protocol.log.events if e.kind == "warning"]
+    assert len(warned) == 1 and warned[0].text.startswith(said) and warned[0].index == 0
+    rig.run(2.0)
+    assert session_status(rig.protocol)["warnings"] == [], "the next trial"
+
+
 def test_study_without_moisture_goes_straight_to_the_press(tmp_path: Path) -> None:
     rig = Rig(tmp_path, readings=0, trials=1, conditions=("natural",))
     rig.protocol.start(rig.now)

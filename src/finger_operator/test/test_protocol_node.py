@@ -512,6 +512,45 @@ def test_each_new_zero_is_in_the_log(ros_domain: int, tmp_path: Path) -> None:
         assert texts == ["force tared, zero at 0.1, 0.02", "force tared, zero at 0.3, 0.02"]
 
 
+def test_the_force_comes_from_the_topic_that_the_model_reads(
+    ros_domain: int, tmp_path: Path
+) -> None:
+    """As from a sensor at an angle, whose wrench another node turns."""
+    from geometry_msgs.msg import WrenchStamped
+
+    with node_here(ros_domain, tmp_path, wrench_topic="wrench_turned") as node:
+        node._start()
+        publisher = node.create_publisher(WrenchStamped, "wrench_turned", 10)
+        end = time.monotonic() + 20
+        while "0.40 N on the plate" not in node._protocol.waiting_for():
+            assert time.monotonic() < end, node._protocol.waiting_for()
+            message = WrenchStamped()
+            message.wrench.force.z = -0.4
+            message.header.stamp = node.get_clock().now().to_msg()
+            publisher.publish(message)
+            node._poll()
+            node._protocol.tick(node.sample_time())
+            time.sleep(0.02)
+
+
+def test_a_session_that_goes_on_names_its_trial_as_the_page_does(
+    ros_domain: int, process: Any, tmp_path: Path
+) -> None:
+    from finger_operator.protocol import Protocol
+    from finger_operator.study_plan import StudyPlan
+
+    plan = StudyPlan("S01", "run", conditions=["natural"], trials=2)
+    protocol = Protocol(plan, tmp_path / "run", lambda effect: None)
+    protocol.start(time.time_ns())
+    protocol.skip(time.time_ns())
+    (tmp_path / "current_session").write_text("run")
+    child = start_node(process, tmp_path)
+    end = time.monotonic() + 60
+    while "session run resumed at trial 2" not in child.output.read_text():
+        assert time.monotonic() < end, child.output.read_text()
+        time.sleep(0.1)
+
+
 def test_what_the_recorder_says_of_itself_reaches_the_trial(
     ros_domain: int, tmp_path: Path
 ) -> None:

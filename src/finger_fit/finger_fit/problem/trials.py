@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from finger_common.contact_threshold import LIFTOFF_FORCE, contacts
-from finger_common.flags import AreaFlag
+from finger_common.usable_press import LONGEST_GAP, Frames, frames_of_press
 from finger_offline.unloaded import LATE_START, Tare, unloaded_tare
 
 from ..options import FitOptions
@@ -25,9 +25,6 @@ from ..report_units import minus
 
 REST_FORCE = 0.005
 """N; a smoothed force up to this is no touch: 1/171 N, the resolution of the Nano17 (paper)."""
-
-LONGEST_GAP = 0.05
-"""s without force during the contact that a trial may have; a slow sensor's period is no gap."""
 
 PACKET = 25
 """Samples over which the period of a force is taken."""
@@ -231,54 +228,36 @@ class TrialRejected(Exception):
 
 @dataclass(frozen=True)
 class _Streams:
-    """Force (n,) in N and areas (m,) in m² of a record, times in s from its stamp `start` (ns).
-
-    flags (m,): of the areas.
-    """
+    """Force (n,) in N and frames (m,) of a record, times in s from its stamp `start` (ns)."""
 
     start: int
     time: np.ndarray
     force: np.ndarray
-    frame_time: np.ndarray
-    area: np.ndarray
-    flags: np.ndarray
+    frames: Frames
 
     @classmethod
     def of(cls, record: Any) -> _Streams:
         """Take the streams out of a record; raises TrialRejected where one is missing."""
         start = int(record.stamp_ns[0]) if len(record.stamp_ns) else 0
-        found = cls(
-            start,
-            (np.asarray(record.stamp_ns, dtype=np.int64) - start) * 1e-9,
-            np.asarray(record.force, dtype=float),
+        frames = Frames(
             (np.asarray(record.area_stamp_ns, dtype=np.int64) - start) * 1e-9,
             np.asarray(record.area, dtype=float),
             np.asarray(record.area_flags, dtype=np.int64),
         )
+        found = cls(
+            start,
+            (np.asarray(record.stamp_ns, dtype=np.int64) - start) * 1e-9,
+            np.asarray(record.force, dtype=float),
+            frames,
+        )
         if len(found.time) < 10:
             raise TrialRejected("no force was recorded")
-        if len(found.frame_time) < 2:
+        if len(frames.time) < 2:
             raise TrialRejected("no contact area was recorded")
         wrong = int((~np.isfinite(found.force)).sum())
         if wrong:
             raise TrialRejected(f"{wrong} force samples are not finite")
         return found
-
-    @property
-    def empty(self) -> np.ndarray:
-        """Mask (m,) of the frames without a contact."""
-        # An area of 0 is none, also from a segmenter that sets no flags.
-        return ((self.flags & AreaFlag.NO_CONTACT) != 0) | (self.area <= 0.0)
-
-    @property
-    def measured(self) -> np.ndarray:
-        """Mask (m,) of the frames with an area."""
-        return np.isfinite(self.area) & ~self.empty
-
-    @property
-    def period(self) -> float:
-        """Time (s) between frames."""
-        return float(np.median(np.diff(self.frame_time)))
 
 
 def prepare(record: Any, options: FitOptions, memory: float = 0.0) -> FitTrial:
@@ -293,16 +272,17 @@ def prepare(record: Any, options: FitOptions, memory: float = 0.0) -> FitTrial:
             f"{options.onset_force:g} N; lower onset_force"
         )
     streams = _Streams.of(record)
-    time, force, frame_time = streams.time, streams.force, streams.frame_time
+    time, force, frames = streams.time, streams.force, streams.frames
+    frame_time = frames.time
     smooth = smoothed(time, force, options.force_cutoff)
     rest = None
     if options.nuisances:
-        touched, empty = frame_time[streams.measured], frame_time[streams.empty]
+        touched, empty = frame_time[frames.measured], frame_time[frames.empty]
         rest = unloaded_tare(time, force, smooth, touched, empty)
     tare = rest.force if rest else 0.0
     highest = float(force.max()) - tare
     first, reached, last = _contact(time, smooth, tare, target, highest, options)
-    counted, dropped = _frames(streams, time[first], time[reached], time[last], options)
+    counted, dropped = _frames(frames, time[first], time[reached], time[last], options)
     readings = np.array([*record.moisture_before, *record.moisture_after], dtype=float)
     readings = readings[np.isfinite(readings)]
     if options.moisture_required and not len(readings):
@@ -311,7 +291,7 @@ def prepare(record: Any, options: FitOptions, memory: float = 0.0) -> FitTrial:
     if options.force == "paper":
         # The paper brought the force to the frames; 0.45 of their rate keeps the filter below its
         # limit.
-        driving = smoothed(time, force, 0.45 / streams.period)
+        driving = smoothed(time, force, 0.45 / frames.period)
     indented, indentation = _indentation(record, streams.start, frame_time[counted], options)
     recording = Recording(
         time,
@@ -333,7 +313,7 @@ def prepare(record: Any, options: FitOptions, memory: float = 0.0) -> FitTrial:
         condition=record.condition or "",
         subject=record.subject or "",
         index=int(record.index),
-        area=streams.area[counted],
+        area=frames.area[counted],
         area_sd=sd[counted] if len(sd) == len(frame_time) else np.full(len(counted), np.nan),
         low=drive.force[drive.frames] < options.low_force,
         moisture=float(readings.mean()) if len(readings) else np.nan,
@@ -388,36 +368,19 @@ def _contact(
 
 
 def _frames(
-    streams: _Streams, onset: float, reached: float, liftoff: float, options: FitOptions
+    frames: Frames, onset: float, reached: float, liftoff: float, options: FitOptions
 ) -> tuple[np.ndarray, int]:
     """Find the frames (k,) that count, and how many inside the window have no area.
 
     onset, reached, liftoff: times in s of the contact's begin, of its target force and of its end.
     Raises TrialRejected where the window has too few frames, or one runs over the border.
     """
-    frame_time, period = streams.frame_time, streams.period
-    inside = (frame_time >= onset) & (frame_time <= liftoff)
-    if options.window == "loading":
-        after = np.flatnonzero(frame_time >= reached)
-        if not len(after) or frame_time[after[0]] > reached + 1.5 * period:
-            raise TrialRejected("no frame at the target force")
-        inside &= frame_time <= frame_time[after[0]]
-    counted = np.flatnonzero(inside)
-    if len(counted) < 3:
-        raise TrialRejected(f"{len(counted)} frames in the contact, at least 3 are needed")
-    holes = np.diff(frame_time[counted])
-    if holes.max() > 1.5 * period:
-        number = round(float(holes.max() / period)) - 1
-        raise TrialRejected(f"{number} frames were dropped in a row during the press")
-    clipped = int(((streams.flags[counted] & AreaFlag.CLIPPED) != 0).sum())
-    if clipped:
-        raise TrialRejected(f"the contact runs over the image border in {clipped} frames")
-    measured = counted[streams.measured[counted]]
-    if len(measured) < 3:
-        raise TrialRejected(
-            f"areas were measured in {len(measured)} frames of the contact, at least 3 are needed"
-        )
-    return measured, len(counted) - len(measured)
+    until = reached if options.window == "loading" else None
+    inside, fault = frames_of_press(frames, onset, liftoff, until)
+    if fault:
+        raise TrialRejected(fault)
+    measured = inside[frames.measured[inside]]
+    return measured, len(inside) - len(measured)
 
 
 def _indentation(

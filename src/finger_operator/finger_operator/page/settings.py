@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from finger_common.settings import Settings, setting
 
-from ..normal_force import normal_axis_setting
+from ..normal_force import normal_axis_setting, wrench_topic_setting
 
 USUAL_PORT = 8080
 """Port of the page where nothing else serves it."""
@@ -46,6 +46,7 @@ class PageSettings(Settings):
         [""],
         "Further host names under which the page may be opened, such as that of a reverse proxy.",
     )
+    wrench_topic: str = wrench_topic_setting()
     normal_axis: str = normal_axis_setting(
         "If the curve goes down under a press, try the opposite sign."
     )

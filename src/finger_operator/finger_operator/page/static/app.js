@@ -15,7 +15,8 @@ const FRAMES = 400;
 const state = {
   status: { step: "closed" }, cue: null, answers: new Map(), number: 0,
   area: { area: null, doubt: "" }, estimate: { contact: false, known: false, doubt: "" },
-  link: "lost", aliveAt: -Infinity, alive: { ages: {}, problems: [], tared: null }, away: true,
+  link: "lost", aliveAt: -Infinity, away: true,
+  alive: { ages: {}, problems: [], tared: null, probe: "" },
   images: null, imageAt: -Infinity, frames: [], pressFrames: [],
 };
 const charts = new Charts((time) => { showFrame(time); showNumbers(); });
@@ -233,7 +234,10 @@ function cueText(name) {
   if (name === "pull") return "Keep the force, and pull sideways until the cue changes.";
   if (name === "lift") return "Lift the finger.";
   if (name === "prepare" && s.step === name) return s.message ? s.instruction : s.preparation;
-  return name === s.step || s.paused ? s.instruction || "" : "";
+  const text = name === s.step || s.paused ? s.instruction || "" : "";
+  // What is wrong with the probe matters while its readings are awaited.
+  const { probe } = state.alive;
+  return probe && READING.includes(name) ? `${text} Probe: ${probe}.` : text;
 }
 
 function drawCue() {
@@ -300,6 +304,8 @@ function showButtons() {
   const gone = state.away || Boolean(missing("protocol"));
   const open = s.step !== "closed" && !gone;
   const running = RUNNING.includes(s.step);
+  // A zero that is set to the force of a finger reads as lift-off.
+  const pressing = PRESSING.includes(s.step) && state.alive.tared !== false;
   set($("start").querySelector("span"), s.paused ? "Resume" : LABELS[s.step] || "Next");
   set($("pause").querySelector("span"), resumable() ? "Resume" : "Pause");
   const off = {
@@ -307,7 +313,7 @@ function showButtons() {
     pause: !open || s.step === "idle" || (s.step === "finished" && !s.ended),
     redo: !open || s.step === "closing",
     skip: !open || ["finished", "done", "closing", "idle"].includes(s.step),
-    tare: state.away, note: !open, marker: !open, "preparation-edit": !open,
+    tare: state.away || pressing, note: !open, marker: !open, "preparation-edit": !open,
     end: !open || s.step === "finished",
   };
   for (const [id, value] of Object.entries(off)) $(id).disabled = value;
@@ -353,6 +359,26 @@ function chips(id, values = [], wanted = 3, now = false) {
       set(chip, full ? values[i].toFixed(1) : "–");
     }
   });
+}
+
+const READING = ["moisture_before", "moisture_after"];
+
+// The cue comes before the status, and is over before it: either may be behind the reading.
+const awaitsReading = () => !state.status.paused
+  && (READING.includes(state.status.step) || READING.includes(cueName()));
+
+// A reading that does not count is seen too, else the operator looks for the fault in the probe.
+const READING_SHOWN = 1e4;
+let readingShown = 0;
+function showReading({ value, time }) {
+  // A browser that has just come is told of the newest one, which may be old.
+  if (!(state.alive.time - time < READING_SHOWN / 1e3)) return;
+  const place = $("moisture-newest");
+  const counts = awaitsReading();
+  place.classList.toggle("bad", !counts);
+  set(place, `${value.toFixed(1)}${counts ? "" : ", does not count now"}`);
+  clearTimeout(readingShown);
+  readingShown = setTimeout(() => set(place, ""), READING_SHOWN);
 }
 
 // What is fresh -------------------------------------------------------------------------------
@@ -521,6 +547,7 @@ function receive(data) {
     state.estimate = m;
   } else if (m.type === "status") showStatusSoon(m);
   else if (m.type === "health") showHealth(m.items);
+  else if (m.type === "moisture") showReading(m);
   else if (m.type === "curves") charts.restore(m);
   else if (m.type === "hello") {
     state.images = m.images;
