@@ -5,7 +5,8 @@ the model node.
 
 The plate's normal leans by 20° from the sensor's z towards its y. The node answers each `wrench`
 with `wrench_turned`, whose z is along the normal and whose stamp is that of the measurement; give
-the model node the parameter `wrench_topic: wrench_turned`.
+the nodes model, protocol and page the parameter `wrench_topic: wrench_turned`, and record it
+(docs/rig_setup.md).
 """
 
 from __future__ import annotations

@@ -424,7 +424,7 @@ def responses_of(name: str, folder: Path | None) -> dict[str, Response]:
     path = None if folder is None else folder / f"epidermis_{name}.pickle"
     if path is not None and path.exists():
         return pickle.loads(path.read_bytes())
-    options = FitOptions(step=STEP)
+    options = FitOptions(step=STEP, geometry_sd=["calipers"])
     records = [record(name, i, Rig(), 0, None, options) for i in range(TRIALS_PER_CONDITION)]
     problem = problem_of(name, Rig(), records, options)
     better = FullOrderGeometry(FullOrder.like(model(), LocalEngine(1)))
@@ -438,7 +438,7 @@ def responses_of(name: str, folder: Path | None) -> dict[str, Response]:
 
 def drawn_rig(rig: Rig, options: FitOptions, rng: np.random.Generator) -> Rig:
     """A rig with its errors drawn from the priors."""
-    lengths = options.lengths()
+    lengths = options.lengths({})
     return replace(
         rig,
         tare=rng.normal(0.0, options.tare_sd),
@@ -457,7 +457,7 @@ def fit_case(
     responses: true answers to the epidermis, or to "shape", needed where a case changes it.
     """
     name, rig = (CASES | MISFITS)[case]
-    options = options or FitOptions(step=STEP)
+    options = options or FitOptions(step=STEP, geometry_sd=["calipers"])
     if rig.scatter < 0:
         rig = replace(rig, scatter=published_scatter(name))
     if rig.drawn:
@@ -469,7 +469,7 @@ def fit_case(
     plain = problem_of(name, rig, records, replace(options, nuisances=False))
     alone = refine(plain, all_free(plain), truth)
     problem = problem_of(name, rig, records, options)
-    population = PopulationGeometry.like(assumed) if options.lengths() else None
+    population = PopulationGeometry.like(assumed) if problem.lengths else None
     nuisances = NuisanceModel(problem, options, population=population)
     found = nuisances.settle(np.vstack([truth, alone.parameters]))
     if rig.curve:

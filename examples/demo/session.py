@@ -90,9 +90,6 @@ def node_parameters(request: SessionRequest) -> dict[str, dict[str, Any]]:
         "output": str(request.folder / "sessions"),
         "confirm_preparation": False,
         "verdict_time": 0.3,
-        # A press that a fit would exclude is repeated at once.
-        "gap_limit": 0.045,
-        "frame_gap_limit": 0.14,
         "stale_after": 1.0,
         "max_attempts": 20,
     }

@@ -188,8 +188,10 @@ class Demo:
         self._show_recorded()
 
     def _fit(self) -> None:
+        from finger_fit.fingers import ALL, Fingers
         from finger_fit.options import FitOptions
         from finger_fit.study import fit_bags
+        from finger_model.geometry import Geometry
 
         quick = self.arguments.quick
         options = FitOptions(
@@ -200,9 +202,15 @@ class Demo:
             bootstrap=0,
             seed=self.arguments.seed,
         )
+        # The simulated participant has the default finger, as calipers would tell.
+        measured = Fingers.load({ALL: Geometry()})
         start = time.monotonic()
         self.result.fit = fit_bags(
-            self.result.processed, options, self.result.folder / "fit", report=self.progress
+            self.result.processed,
+            options,
+            self.result.folder / "fit",
+            model=measured,
+            report=self.progress,
         )
         self.result.seconds["fit"] = time.monotonic() - start
         self.log(f"{len(self.result.fit.fits)} conditions fitted")

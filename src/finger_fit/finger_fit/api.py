@@ -27,8 +27,6 @@ from finger_common.columns import column
 from finger_common.errors import InputError, listed
 from finger_common.flags import AreaFlag
 from finger_common.stamps import NANOSECONDS
-from finger_model.finger import load_areas
-from finger_model.geometry import Geometry
 from finger_offline.force_history import force_before
 from finger_offline.held_areas import held_rows, held_text
 from finger_offline.trial_checks import (
@@ -42,6 +40,7 @@ from finger_offline.trial_records import TrialRecord
 from finger_offline.trial_split import CONDITION, TrialSettings
 from finger_offline.unloaded import pressed_force, reached_force, unloaded_tare
 
+from .fingers import Fingers, GeometrySource, by_subject
 from .options import FitOptions
 from .problem import force_limit_of
 from .problem.trials import smoothed
@@ -564,7 +563,7 @@ class Fit:
 
 def fit(
     trials: Iterable[Trial],
-    geometry: Geometry | str | Path | Mapping[str, float] | None = None,
+    geometry: GeometrySource | Mapping[str, GeometrySource] = None,
     law: str = "",
     conditions: Sequence[str] = (),
     model: Any = None,
@@ -572,7 +571,9 @@ def fit(
 ) -> Fit:
     """Fit the finger's parameters to presses, by subject and condition.
 
-    geometry: of the finger, as an object, a mapping or a geometry.yaml; the shipped one by default.
+    geometry: of the finger: a geometry.yaml, its content as a mapping, a Geometry, or the estimate
+    of caliper readings (`finger_model.anthropometry.estimate_geometry`); of several subjects, a
+    mapping from each to its own. By default a typical finger that nobody measured.
     law: another installed material law; one without a reduced model is slow. model: any object
     with `space` and `batch` in place of both. It has its law in `material`, where its parameters
     are not those of the default law; without one, what needs the full-order model is left out, and
@@ -580,13 +581,11 @@ def fit(
     seed=1, bounds=["E2=500kPa:3MPa"] or {"E2": (500e3, 3e6)}.
     Raises InputError for data that cannot be fitted.
     """
-    if isinstance(geometry, Mapping):
-        geometry = Geometry.from_dict(dict(geometry))
     if "bounds" in options:
         options["bounds"] = _bounds(options["bounds"])
     chosen = FitOptions.from_mapping(options, "fit")
-    model = model or load_areas("", geometry or "", law)
-    chosen.check_names(model.space, getattr(model, "geometry", None))
+    fingers = Fingers.of(model) if model else Fingers.load(by_subject(geometry), law=law)
+    chosen.check_names(fingers.space, fingers.geometries)
     trials = [trials] if isinstance(trials, Trial) else list(trials)
     for number, trial in enumerate(trials):
         if not isinstance(trial, Trial):
@@ -614,7 +613,7 @@ def fit(
         if len(found) > 1:
             several.append(f"{signals.name} ({len(found)})")
     conditions = (conditions,) if isinstance(conditions, str) else conditions
-    result = fit_records(records, model, chosen, conditions)
+    result = fit_records(records, fingers, chosen, conditions)
     if several:
         notes.append(f"several presses in {listed(several)}: each press is a trial of its own")
     result.problems[:0] = notes

@@ -28,8 +28,8 @@ from finger_common.cli import (
 from finger_common.console import Console
 from finger_common.errors import InputError
 from finger_common.progress import Stages
-from finger_model.finger import load_areas
 
+from .fingers import Fingers, geometry_files
 from .nuisance_names import name_of
 from .options import FitOptions
 from .report_units import MM4, interval_text, three_digits
@@ -38,7 +38,8 @@ from .study import fit_bags, reading
 
 EXAMPLE = (
     "finger-fit out/study/* -o out/fit\n"
-    "finger-fit session.mcap --condition natural --window contact -o out/fit"
+    "finger-fit session.mcap --condition natural --window contact -o out/fit\n"
+    "finger-fit bags/* --geometry S01=s01.yaml --geometry S02=s02.yaml -o out/fit"
 )
 
 
@@ -87,9 +88,11 @@ def parser() -> argparse.ArgumentParser:
     )
     models.add_argument(
         "--geometry",
-        metavar="YAML",
-        default="",
-        help="geometry.yaml of the finger, from 'finger-model geometry' (default: built in)",
+        action="append",
+        metavar="[SUBJECT=]YAML",
+        default=[],
+        help="geometry.yaml of the finger, from 'finger-model geometry'; of several subjects, "
+        "SUBJECT=YAML for each (default: a typical finger, not measured)",
     )
     models.add_argument(
         "--law",
@@ -178,10 +181,10 @@ def command(argv: Sequence[str] | None = None) -> int:
         from .report import find_browser, write_pdf
 
         browser = find_browser()  # before the fit, which is long
-    model = load_areas(args.model or "", args.geometry, args.law)
+    fingers = Fingers.load(geometry_files(args.geometry), args.model or "", args.law)
     with Screen(args.quiet) as screen:
         result = fit_bags(
-            args.bags, options, args.output, args.condition, model, screen, settings,
+            args.bags, options, args.output, args.condition, fingers, screen, settings,
             shlex.join(["finger-fit", *given]),
         )  # fmt: skip
     console = Console()

@@ -27,10 +27,9 @@ from finger_common.errors import FingerError, InputError
 from finger_common.node import ManagedNode, main_of
 from finger_common.parameter_values import parameter_values
 from finger_common.settings import Settings, setting
-from finger_model.finger import load_reduced
-from finger_model.reduced import ReducedModel
 from finger_msgs.action import FitParameters
 
+from .fingers import ALL, Fingers
 from .options import FitOptions
 from .results import parameter_files
 from .search import Stopped
@@ -48,8 +47,8 @@ class FitNodeSettings(Settings):
     geometry_file: str = setting("", "geometry.yaml of the finger; empty: the default geometry.")
 
 
-def _model_of(settings: FitNodeSettings) -> ReducedModel:
-    return load_reduced(settings.reduced_model, settings.geometry_file)
+def _fingers_of(settings: FitNodeSettings) -> Fingers:
+    return Fingers.load({ALL: settings.geometry_file}, settings.reduced_model)
 
 
 def checked_options(goal: Any) -> FitOptions:
@@ -102,10 +101,10 @@ class _Job:
         try:
             goal = self._goal
             options = checked_options(goal)
-            model = _model_of(self._settings)
-            self.names = model.space.names
+            fingers = _fingers_of(self._settings)
+            self.names = fingers.space.names
             self.outcome = fit_bags(
-                self.bags, options, self.output, list(goal.conditions), model, self._progress
+                self.bags, options, self.output, list(goal.conditions), fingers, self._progress
             )
         except Stopped:
             self.error = "nothing was found before"
@@ -139,7 +138,7 @@ class FitNode(ManagedNode):
     def configure(self) -> None:
         """Check the model file and offer the action."""
         self._model_settings = self.settings(FitNodeSettings)
-        _model_of(self._model_settings)
+        _fingers_of(self._model_settings)
         self.health = Health("fit", "no device")
         self.healths = [self.health]
         self._withdraw(at_once=True)

@@ -38,7 +38,10 @@ WORDS = {
     COLLAPSE: "collapse of the hull below the low force",
     "pad_semi_axis_radial": "width of the pad",
     "pad_semi_axis_axial": "depth of the pad",
+    "bone_semi_axis_radial": "width of the bone",
     "bone_semi_axis_axial": "height of the bone",
+    "bone_center_height": "height of the bone's centre",
+    "nail_radius": "width of the nail",
 }
 
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from finger_common.errors import InputError
@@ -20,7 +21,13 @@ CALIPERS = {
     "pad_semi_axis_axial": 0.08,
     "bone_semi_axis_axial": 0.2,
 }
-"""Relative deviation of the lengths of a finger measured with calipers (finger-model geometry)."""
+"""Relative deviation of the lengths of a finger measured with calipers whose geometry states none:
+those of the rules (`finger_model.anthropometry`), rounded, of the lengths that change areas most.
+"""
+
+KNOWN, MEASURED = "default", "calipers"
+"""Words of `geometry_sd`: what is known of the finger's lengths (`finger_lengths`), and `CALIPERS`
+for any finger."""
 
 NUISANCE = "nuisance parameters (standard deviations of their priors; 0 leaves one out)"
 """Heading of the options in the help of the command."""
@@ -88,21 +95,24 @@ class NuisancePriors(Settings):
         group=NUISANCE,
     )
     geometry_sd: list[str] = setting(
-        [f"{name}={deviation:g}" for name, deviation in CALIPERS.items()],
+        [KNOWN],
         "Relative deviation of lengths of the finger, as NAME=DEVIATION. A length that is not "
-        "named keeps the default, that of a finger measured with calipers (finger-model "
-        "geometry); NAME=0 leaves it out, an empty list leaves out all.",
+        "named keeps the default: what the geometry states; calipers, where it states none; "
+        "without a geometry, a finger that nobody measured. 'calipers': as measured with calipers, "
+        "in any case. NAME=0 leaves a length out, an empty list leaves out all.",
         group=NUISANCE,
     )
 
-    def lengths(self) -> dict[str, float]:
+    def lengths(self, known: Mapping[str, float]) -> dict[str, float]:
         """Relative deviation of each length; raises InputError for what is none.
 
-        Those of `geometry_sd` over `CALIPERS`; without the lengths of deviation 0, and empty where
-        `geometry_sd` is.
+        known: those of the finger, which `geometry_sd` overrides. Without the lengths of deviation
+        0, and empty where `geometry_sd` is.
         """
-        found = dict(CALIPERS) if self.geometry_sd else {}
+        found = dict(CALIPERS if MEASURED in self.geometry_sd else known)
         for text in self.geometry_sd:
+            if text in (KNOWN, MEASURED):
+                continue
             name, _, number = text.partition("=")
             try:
                 value = float(number)
@@ -111,7 +121,7 @@ class NuisancePriors(Settings):
             if name not in LENGTHS or not 0.0 <= value <= 1.0:
                 raise InputError(
                     f"geometry_sd '{text}': NAME=DEVIATION is needed, a relative deviation from 0 "
-                    f"to 1 and NAME one of {', '.join(LENGTHS)}"
+                    f"to 1 and NAME one of {', '.join(LENGTHS)}, or the word '{MEASURED}'"
                 )
             found[name] = value
-        return {name: value for name, value in found.items() if value > 0}
+        return {n: value for n, value in found.items() if value > 0 and self.geometry_sd}

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -234,12 +235,14 @@ class FitOptions(NuisancePriors):
         own = float(getattr(record, "target_force", 0.0))
         return self.target_force or (own if own > 0.0 else TARGET_FORCE)
 
-    def check_names(self, space: ParameterSpace, geometry: Geometry | None = None) -> None:
+    def check_names(
+        self, space: ParameterSpace, geometries: Sequence[Geometry | None] = ()
+    ) -> None:
         """Raise InputError for `bounds`, `shared` or lengths that name nothing known, and for a
-        length that is 0 in the finger's geometry."""
+        length that is 0 in the geometry of a finger."""
         self.box(space)
-        for name in self.lengths():
-            if geometry is not None and getattr(geometry, name) == 0.0:
+        for name in self.lengths({}):
+            if any(g is not None and getattr(g, name) == 0.0 for g in geometries):
                 raise InputError(
                     f"geometry_sd '{name}': this length of the finger is 0, and so is any relative "
                     "deviation of it; leave it out, or give the length in the geometry"

@@ -31,10 +31,15 @@ from finger_fit.report.figures import FIGURES
 from finger_fit.report.identifiability import covariances
 from finger_fit.report.page import render
 from finger_fit.results import FitResult, contrasts, fit_dict
+from finger_fit.search import all_free, refine
 from finger_fit.study import fit_records
+from finger_fit.uncertainty import covariance
 from finger_model.geometry import Geometry
 from finger_model.laws import ParameterSpace, ParameterSpec, law_of
 from finger_model.reduced.model import load_population
+from finger_offline.importing.settings import ImportSettings
+from finger_offline.importing.trial import import_trial
+from finger_offline.trials import load_trials
 
 QUICK: dict[str, Any] = {
     "full_order": False,
@@ -750,6 +755,25 @@ def test_fast_presses_reach_their_own_target(double: SimpleNamespace, rise: floa
     assert len(prepare(record, FitOptions()).area) >= 3
 
 
+def test_a_press_has_the_same_target_from_python_and_from_a_file(tmp_path: Path) -> None:
+    time = np.arange(0.0, 3.0, 0.004)
+    force = 1.517 * np.clip(np.minimum(time - 0.5, 2.5 - time), 0.0, 1.0)
+    frames = np.arange(0, len(time), 25)
+    area = 60.0 * force[frames] ** 0.5
+    files = {"force": force, "area": area}
+    for name, at, unit in (("force", slice(None), "force_n"), ("area", frames, "area_mm2")):
+        columns = np.column_stack([time[at], files[name]])
+        np.savetxt(tmp_path / f"{name}.csv", columns, "%.6f", ",", header=f"time_s,{unit}",
+                   comments="")  # fmt: skip
+    settings = ImportSettings(
+        force=str(tmp_path / "force.csv"), area=str(tmp_path / "area.csv"),
+        subject="S01", condition="dry",
+    )  # fmt: skip
+    (imported,) = load_trials(import_trial(settings, tmp_path / "bag").path)
+    (record,) = Trial(time, force, area * 1e-6, time[frames], "dry").records(0, 0)
+    assert record.target_force == imported.target_force == 1.42
+
+
 def test_labels_are_taken_without_blanks_and_in_one_case(double: SimpleNamespace) -> None:
     quick = {**QUICK, "bootstrap": 0, "profiles": False}
     model = double.HereditaryModel()
@@ -796,14 +820,35 @@ def test_contrasts_cover_what_differs_where_estimates_lie_on_bounds(
     assert min(shares.values()) >= 0.9, shares
 
 
+def test_the_deviation_of_e_is_that_of_its_errors_where_another_parameter_is_on_a_bound(
+    double: SimpleNamespace,
+) -> None:
+    """E1 answers to E2: held at its bound, E2 would make E seem known three times too well."""
+    truth = np.array([120e3, 25e3, 0.2, 2000e3])
+    options = FitOptions(nuisances=False, press_gain=False)
+    ratios = []
+    for seed in range(100):
+        problem = double.make_problem(2e-6, 4, options, seed, truth)
+        best = refine(problem, all_free(problem), truth).parameters
+        known = covariance(problem, best)
+        if "E2" in known.active and not known.holds("composite_E"):
+            error = np.log(double.composite(best) / double.composite(truth))
+            gradient = known.space.log_gradient("composite_E", best)
+            held = np.sqrt(gradient @ known.data_covariance() @ gradient)
+            ratios.append([error / known.data_deviation("composite_E"), error / held])
+    assert len(ratios) >= 15
+    released, held = np.sqrt(np.mean(np.square(ratios), axis=0))
+    assert released < 1.2 < held
+
+
 def test_a_covariance_without_active_bounds_is_released_unchanged(study: FitResult) -> None:
     for fitted in study.fits.values():
         found = fitted.covariance
         assert found is not None
         if not found.active:
-            assert found.released(fitted.problem.box) is found
+            assert found.released is found
             continue
-        free = found.released(fitted.problem.box)
+        free = found.released
         low, high = fitted.space.to_log(fitted.problem.box.T)
         for name in fitted.space.quantity_names:
             assert free.data_deviation(name) > 0.0

@@ -183,9 +183,11 @@ def test_a_sensor_never_widens_what_a_fit_leaves_open() -> None:
     """It answers to the assumed lengths more than the areas do, and is not believed beyond."""
     model = ReducedModel.load()
     natural = np.array([140e3, 22e3, 0.5, 1795e3])
+    measured = FitOptions(geometry_sd=["calipers"])
     for plan in (Plan(presses=5), Plan(presses=5, hold=1.0, window="contact")):
         without, sensed = (
-            expected(replace(plan, indentation_sd=sd), model, natural) for sd in (0.0, 20e-6)
+            expected(replace(plan, indentation_sd=sd), model, natural, measured)
+            for sd in (0.0, 20e-6)
         )
         for name in without.total:
             assert sensed.data[name] <= 1.02 * without.data[name], name

@@ -441,10 +441,20 @@ def test_the_parameter_file_has_what_the_data_leave_open_alone(study) -> None:
             known = fit.covariance
             assert known is not None and known.assumed_deviation("composite_E") > 0.05
             slope = fit.space.log_gradient("composite_E", fit.parameters)
-            exported = np.sqrt(slope @ np.array(entry.covariance_log) @ slope)
-            assert exported == pytest.approx(known.data_deviation("composite_E"))
-            whole = np.sqrt(slope @ fit.covariance_log() @ slope)
-            assert whole == pytest.approx(known.deviation("composite_E"))
+            free = known.released  # the stated deviations hold no parameter at its bound
+            stated = known.data_deviation("composite_E"), known.deviation("composite_E")
+            for matrix, own, freed, deviation in (
+                (np.array(entry.covariance_log), known.data_covariance(), free.data_covariance(),
+                 stated[0]),
+                (fit.covariance_log(), known.covariance, free.covariance, stated[1]),
+            ):  # fmt: skip
+                assert np.allclose(matrix, own, rtol=1e-6, atol=1e-15)
+                assert np.sqrt(slope @ freed @ slope) <= deviation * (1.0 + 1e-9)
+                exported = np.sqrt(slope @ matrix @ slope)
+                if known.active:
+                    assert exported < deviation
+                else:
+                    assert exported == pytest.approx(deviation)
 
 
 def test_the_error_of_the_reduced_model_is_that_of_the_fitted_parameters(study) -> None:

@@ -23,6 +23,7 @@ from finger_fit.nuisance.geometry import (
     geometry_responses,
 )
 from finger_fit.nuisance_names import COLLAPSE, LAG, TARE
+from finger_fit.nuisance_priors import CALIPERS
 from finger_fit.options import FitOptions
 from finger_fit.problem import FitProblem, Goal, Nuisance, Nuisances, prepare_all
 from finger_fit.report_units import MM4
@@ -329,15 +330,15 @@ def test_lengths_enter_by_the_answer_of_the_areas(double) -> None:
 def test_the_population_model_answers_as_the_full_order_does(double) -> None:
     """One deviation of each length, at every frame of three presses."""
     model = ReducedModel.load()
-    options = FitOptions()
+    options = FitOptions(geometry_sd=["calipers"])
     problem = FitProblem(double.make_problem(trials=3).trials, model, options)
     population = PopulationGeometry.like(model)
     assert population is not None
-    found = population.responses(problem, model.space.default, options.lengths())
+    found = population.responses(problem, model.space.default, problem.lengths)
     full = FullOrderGeometry(FullOrder.like(model))
-    lengths = {n: sd for n, sd in options.lengths().items() if n != "bone_semi_axis_axial"}
+    lengths = {n: sd for n, sd in problem.lengths.items() if n != "bone_semi_axis_axial"}
     exact = geometry_responses(problem, model.space.default, full, lengths)
-    assert set(found) == set(options.lengths())
+    assert set(found) == set(problem.lengths) and len(found) == 4
     for name, deviation in lengths.items():
         error = deviation * (found[name] - exact[name].on(problem))
         assert np.sqrt(np.mean(error**2)) < 0.006, name
@@ -407,20 +408,23 @@ def test_a_fit_names_what_it_cannot_estimate(double, tmp_path) -> None:
 
 
 def test_a_length_that_is_named_keeps_the_others() -> None:
-    usual = FitOptions().lengths()
-    better = FitOptions(geometry_sd=["epidermis_thickness=0.1"]).lengths()
-    assert len(usual) == 4 and better == {**usual, "epidermis_thickness": 0.1}
-    without = FitOptions(geometry_sd=["epidermis_thickness=0"]).lengths()
-    assert set(without) == set(usual) - {"epidermis_thickness"}
-    assert FitOptions(geometry_sd=[]).lengths() == {}
+    known = {"epidermis_thickness": 0.27, "pad_semi_axis_radial": 0.1, "nail_radius": 0.1}
+    assert FitOptions().lengths(known) == known
+    better = FitOptions(geometry_sd=["epidermis_thickness=0.1"]).lengths(known)
+    assert better == {**known, "epidermis_thickness": 0.1}
+    without = FitOptions(geometry_sd=["epidermis_thickness=0"]).lengths(known)
+    assert set(without) == set(known) - {"epidermis_thickness"}
+    assert FitOptions(geometry_sd=[]).lengths(known) == {}
+    measured = FitOptions(geometry_sd=["calipers", "epidermis_thickness=0.1"]).lengths(known)
+    assert measured == {**CALIPERS, "epidermis_thickness": 0.1}
 
 
 def test_a_relative_deviation_of_no_length_is_refused() -> None:
     options = FitOptions(geometry_sd=["bone_center_height=0.3"])
     raised = replace(Geometry(), bone_center_height=0.3e-3)
-    options.check_names(StandardLinearSolid.PARAMETERS, raised)
+    options.check_names(StandardLinearSolid.PARAMETERS, [raised])
     with pytest.raises(InputError, match=r"'bone_center_height': this length .* is 0.*leave it"):
-        options.check_names(StandardLinearSolid.PARAMETERS, Geometry())
+        options.check_names(StandardLinearSolid.PARAMETERS, [raised, Geometry()])
 
 
 def test_outliers_do_not_widen_the_intervals_of_the_huber_loss(double) -> None:
@@ -456,7 +460,7 @@ def test_a_length_that_is_fitted_besides_stays_assumed_in_the_main_fit(double) -
 def test_a_wrong_length_is_named() -> None:
     for text in ("thumb=0.1", "epidermis_thickness", "epidermis_thickness=2", "nail_radius=x"):
         with pytest.raises(InputError, match="NAME=DEVIATION"):
-            FitOptions(geometry_sd=[text]).lengths()
+            FitOptions(geometry_sd=[text]).lengths({})
 
 
 def test_a_response_lies_between_the_simulated_presses(double) -> None:

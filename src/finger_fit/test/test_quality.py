@@ -70,6 +70,7 @@ def test_clean_presses_pass_every_check(double: SimpleNamespace, presses: list[A
         "tare": "ok",
         "scatter between presses": "ok",
         "model against areas": "ok",
+        "search box": "ok",
         "moisture": "ok",
     }
     assert all(t.gain == pytest.approx(1.0, abs=0.02) for t in fit.quality.trials)
@@ -212,6 +213,20 @@ def test_a_large_tare_is_taken_off_and_fails(
     status, words = status_of(result, "tare")
     assert status == "fail" and f"{tare:+.3f} N (median)".replace("-", "−") in words
     assert result.fits["natural"].cost == pytest.approx(clean.cost, rel=0.02)
+
+
+def test_areas_without_a_force_are_named(double: SimpleNamespace, presses: list[Any]) -> None:
+    """The area sensor has an offset: no frame shows the plate without a contact."""
+    moved = [
+        replace(p, area=p.area + 4e-6, area_flags=np.zeros_like(p.area_flags)) for p in presses
+    ]
+    status, words = status_of(fitted(double, moved), "tare")
+    assert status == "note"
+    found = re.search(r"(\d+) of (\d+) frames where the force is zero show a contact, of 4", words)
+    assert found and int(found[1]) == int(found[2]) > 10
+    late = [replace(p, area_stamp_ns=p.area_stamp_ns + 100_000_000) for p in presses]
+    for records in (presses, late):
+        assert "where the force is zero" not in status_of(fitted(double, records), "tare")[1]
 
 
 def test_the_tare_that_is_farthest_from_zero_counts(

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 from finger_common.errors import InputError
 from finger_common.units import LENGTH_UNITS
 
-from .geometry import LENGTHS, Geometry
+from .geometry import DEVIATIONS, LENGTHS, Geometry
 
 CALIPER_DEVIATION = 0.3e-3
 """m, standard deviation of one caliper reading on soft tissue; an assumption."""
@@ -113,7 +113,8 @@ class GeometryEstimate:
         return {key: length.deviation for key, length in self.lengths.items()}
 
     def yaml_text(self) -> str:
-        """The file `geometry.yaml`, each length with its deviation in a comment."""
+        """The file `geometry.yaml`: lengths, with deviation and rule in a comment, and the
+        deviations."""
         lines = [
             "# Lengths of one finger in m, for finger-model; ± is one standard deviation.",
             f"# From {self.measured}. Rules and drawing: docs/your_finger.md",
@@ -121,6 +122,8 @@ class GeometryEstimate:
         for key, value in self.geometry.to_dict().items():
             known = self.lengths[key]
             lines.append(f"{key}: {value:.6g}  # ± {known.deviation:.2g}; {known.rule}")
+        lines.append(f"{DEVIATIONS}:  # the same standard deviations, as finger-fit takes them")
+        lines += [f"  {key}: {deviation:.2g}" for key, deviation in self.deviations.items()]
         return "\n".join(lines) + "\n"
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from finger_common.errors import InputError
-from finger_common.files import from_numbers, load_yaml, sha256_of
+from finger_common.files import from_numbers, load_yaml, number, sha256_of
 
 LENGTHS = {
     "pad_semi_axis_radial": "half the width of the pad",
@@ -27,6 +27,8 @@ LENGTHS = {
 }
 """Keys of `geometry.yaml`, all in m, and what they mean (drawing: docs/your_finger.md)."""
 
+DEVIATIONS = "deviations"
+"""Key of `geometry.yaml` below which the standard deviations (m) of its lengths stand."""
 
 SMALLEST = {
     "pad_semi_axis_radial": 1e-3,
@@ -172,7 +174,7 @@ class Geometry:
     @classmethod
     def load(cls, path: str | Path) -> Geometry:
         """Geometry from a YAML file (SI); raises InputError naming file and key."""
-        return cls.from_dict(load_yaml(path, "geometry file"), str(path))
+        return StatedGeometry.load(path).geometry
 
     def to_dict(self) -> dict[str, float]:
         """The keys of `geometry.yaml` and their values (m)."""
@@ -181,3 +183,45 @@ class Geometry:
     def hash(self) -> str:
         """Digest (hexadecimal) of the lengths rounded to 1 nm; names the geometry of a model."""
         return sha256_of({key: round(value * 1e9) for key, value in self.to_dict().items()})
+
+
+@dataclass(frozen=True)
+class StatedGeometry:
+    """What a `geometry.yaml` states: the geometry, and the standard deviations (m) of its lengths
+    by their keys, of those that it names."""
+
+    geometry: Geometry
+    deviations: dict[str, float]
+
+    @classmethod
+    def load(cls, path: str | Path) -> StatedGeometry:
+        """From a YAML file (SI); raises InputError naming file and key."""
+        return cls.from_dict(load_yaml(path, "geometry file"), str(path))
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any], where: str = "geometry") -> StatedGeometry:
+        """From the content of such a file; raises InputError for unknown keys and for deviations
+        that are none."""
+        lengths = {key: value for key, value in data.items() if key != DEVIATIONS}
+        stated = data.get(DEVIATIONS, {})
+        if not isinstance(stated, dict):
+            raise InputError(
+                f"{where}: '{DEVIATIONS}' is {stated!r}; give standard deviations in m below it, "
+                "as 'key: value' lines"
+            )
+        geometry = Geometry.from_dict(lengths, where)
+        for key in stated:
+            if key not in LENGTHS:
+                raise InputError(
+                    f"{where}: unknown key '{key}' in '{DEVIATIONS}'; the keys are "
+                    f"{', '.join(LENGTHS)}"
+                )
+        deviations = {key: number(stated, key, f"{where}: {DEVIATIONS}") for key in stated}
+        for key, value in deviations.items():
+            length = abs(getattr(geometry, key))
+            if not 0.0 <= value <= (length or LARGEST):
+                raise InputError(
+                    f"{where}: the deviation of '{key}' is {value:g} m, of a length of "
+                    f"{length:g} m; give the standard deviation in m, zero or more"
+                )
+        return cls(geometry, deviations)

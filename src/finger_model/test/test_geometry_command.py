@@ -11,7 +11,7 @@ from finger_common.cli import run
 from finger_common.errors import InputError
 from finger_model.anthropometry import FINGERS, estimate_geometry, parse_length
 from finger_model.cli import _main
-from finger_model.geometry import LENGTHS, Geometry
+from finger_model.geometry import LENGTHS, Geometry, StatedGeometry
 
 
 @pytest.mark.parametrize("text", ["14mm", "14 mm", "1.4cm", "0.014m", "0.014", "14,0 mm", "14MM"])
@@ -31,17 +31,45 @@ def test_other_lengths_are_refused_in_one_sentence(text):
 def test_file_has_every_key_with_its_deviation_and_is_read_back(tmp_path):
     path = tmp_path / "g.yaml"
     assert run(_main, ["geometry", "--width", "14mm", "--depth", "11mm", "-o", str(path)]) == 0
-    lines = [line for line in path.read_text().splitlines() if not line.startswith("#")]
+    text = path.read_text()
+    lines = [n for n in text.partition("deviations:")[0].splitlines() if not n.startswith("#")]
     assert [line.split(":")[0] for line in lines] == list(LENGTHS) == list(Geometry().to_dict())
     estimate = estimate_geometry(width=14e-3, depth=11e-3)
     for line in lines:
         key = line.split(":")[0]
         deviation = float(re.search(r"# ± ([-\d.e]+);", line)[1])
         assert deviation == pytest.approx(estimate.deviations[key], rel=0.05) and deviation > 0
+    stated = StatedGeometry.load(path)
+    assert stated.deviations == pytest.approx(estimate.deviations, rel=0.05)
     geometry = Geometry.load(path)
-    assert geometry == estimate.geometry
+    assert geometry == estimate.geometry == stated.geometry
     assert geometry.pad_semi_axis_radial == 7e-3
     assert geometry.pad_semi_axis_axial == 5.5e-3
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("deviations: 0.1", "give standard deviations in m below it"),
+        ("deviations: {width: 0.001}", "unknown key 'width' in 'deviations'"),
+        ("deviations: {nail_radius: thin}", "deviations: 'nail_radius' is 'thin'"),
+        ("deviations: {nail_radius: -0.001}", "deviation of 'nail_radius' is -0.001 m"),
+        ("deviations: {pad_semi_axis_radial: 0.1}", "of a length of 0.0085 m; give the standard"),
+    ],
+)
+def test_deviations_that_are_none_are_refused_with_file_and_key(tmp_path, text, words):
+    path = tmp_path / "g.yaml"
+    path.write_text(f"epidermis_thickness: 0.0003\n{text}\n")
+    with pytest.raises(InputError, match=re.escape(words)) as refused:
+        Geometry.load(path)
+    assert str(refused.value).startswith(str(path))
+
+
+def test_a_file_without_deviations_states_none(tmp_path):
+    path = tmp_path / "g.yaml"
+    path.write_text("epidermis_thickness: 0.0004\n")
+    stated = StatedGeometry.load(path)
+    assert stated.deviations == {} and stated.geometry.epidermis_thickness == 0.0004
 
 
 def test_less_measured_is_less_known():

@@ -19,10 +19,10 @@ from finger_common.cli import Parser, add_settings, plain, settings_from
 from finger_common.console import Console
 from finger_common.errors import InputError, put_once
 from finger_common.files import atomic_write
-from finger_model.finger import load_areas
 from finger_model.laws import ParameterSpace
 from finger_model.paper import CONDITIONS
 
+from ..fingers import AssumedFinger
 from ..nuisance_names import name_of
 from ..nuisance_priors import NuisancePriors
 from ..options import FitOptions, value_of
@@ -140,7 +140,8 @@ def command(argv: Sequence[str]) -> int:
             f"--subjects {args.subjects}, --between {args.between:g}: at least 2 subjects and a "
             "standard deviation from 0 to 5 are needed"
         )
-    model: Any = load_areas("", args.geometry)
+    finger = AssumedFinger.load(args.geometry)
+    model, known = finger.model, finger.lengths
     space = model.space
     wanted = _wanted(args.wanted, space)
     guess = finger_of(args.guess, space)
@@ -151,7 +152,7 @@ def command(argv: Sequence[str]) -> int:
         twice = next(name for name in plans if [n for n, _ in named].count(name) > 1)
         raise InputError(f"--plan {twice}: the name is there twice; give each plan its own")
     plans = with_indentation(plans, priors.indentation_sd)
-    found = {name: expected(plan, model, guess, options) for name, plan in plans.items()}
+    found = {name: expected(plan, model, guess, options, known) for name, plan in plans.items()}
     console = Console()
     console.print(_table(space, found, wanted))
     data: dict[str, Any] = {
@@ -159,7 +160,9 @@ def command(argv: Sequence[str]) -> int:
         "plans": {name: _entry(e, wanted) for name, e in found.items()},
     }
     if other is not None:
-        second = {name: expected(plan, model, other, options) for name, plan in plans.items()}
+        second = {
+            name: expected(plan, model, other, options, known) for name, plan in plans.items()
+        }
         data["contrast"] = {
             "against": space.mapping(other), "subjects": args.subjects, "between": args.between,
             "plans": _contrasts(found, second, args.subjects, args.between),

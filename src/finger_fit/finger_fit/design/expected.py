@@ -17,6 +17,7 @@ import numpy as np
 
 from finger_model.finger import serving
 
+from ..fingers import KnownLengths
 from ..nuisance.estimate import NuisanceModel
 from ..nuisance.geometry import PopulationGeometry
 from ..options import FitOptions
@@ -44,20 +45,25 @@ class Expected:
 
 
 def expected(
-    plan: Plan, model: Any, parameters: np.ndarray, options: FitOptions | None = None
+    plan: Plan,
+    model: Any,
+    parameters: np.ndarray,
+    options: FitOptions | None = None,
+    known: KnownLengths | None = None,
 ) -> Expected:
     """Predict what a plan will tell of a finger of parameters (N,); options: priors of the
-    nuisances. A force beyond the model takes that of the population box, as in a fit."""
+    nuisances; known: of the finger's lengths. A force beyond the model takes that of the population
+    box, as in a fit."""
     options = options or FitOptions()
     model = serving(model, plan.peak, parameters[None])
-    return expected_of(plan.problem(model, parameters, options), plan, parameters)
+    return expected_of(plan.problem(model, parameters, options, known=known), plan, parameters)
 
 
 def expected_of(problem: FitProblem, plan: Plan, parameters: np.ndarray) -> Expected:
     """Predict as `expected` does, from a problem that was made by the plan."""
     options = problem.options
     if options.nuisances:
-        lengths = options.lengths()
+        lengths = problem.lengths
         nuisances = NuisanceModel(
             problem, options, population=PopulationGeometry.like(problem.model) if lengths else None
         )

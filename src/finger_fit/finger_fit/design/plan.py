@@ -17,6 +17,7 @@ from finger_common.settings import Settings, setting
 from finger_model.paper import PRESS_DURATION, TARGET_FORCE, TRIALS_PER_CONDITION
 
 from ..api import Trial
+from ..fingers import KnownLengths
 from ..options import FitOptions
 from ..problem import FitProblem, batch_areas, batch_contacts, force_limit_of, prepare_all
 
@@ -98,8 +99,10 @@ class Plan(Settings):
         parameters: np.ndarray,
         options: FitOptions,
         noise: np.random.Generator | None = None,
+        known: KnownLengths | None = None,
     ) -> FitProblem:
-        """The fit's problem of these presses by a finger of parameters (N,).
+        """The fit's problem of these presses by a finger of parameters (N,), with what is known of
+        its lengths.
 
         noise: draws the noise of frames, the gains of presses, and noise and zeros of
         indentations; none without. Raises InputError for a plan with a measured indentation and a
@@ -149,7 +152,7 @@ class Plan(Settings):
             raise InputError(
                 f"plan: {excluded[0].reason}; give longer presses, a higher peak or more images"
             )
-        problem = FitProblem(trials, model, chosen)
+        problem = FitProblem(trials, model, chosen, known)
         problem.weigh(self.area_noise)
         return problem
 

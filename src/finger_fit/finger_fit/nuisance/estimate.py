@@ -111,7 +111,7 @@ class NuisanceModel:
     ) -> None:
         self.problem, self.options, self.population = problem, options, population
         self.responses = {name: found.on(problem) for name, found in (responses or {}).items()}
-        wanted = options.lengths()
+        wanted = options.lengths(problem.known.deviations)
         if population is not None:
             self.responses = population.responses(problem, problem.space.default, wanted)
         self.lengths = {n: sd for n, sd in wanted.items() if n in self.responses}

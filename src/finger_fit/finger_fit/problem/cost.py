@@ -22,6 +22,7 @@ from finger_common.errors import InputError
 from finger_common.files import sha256_of
 from finger_model.laws import ConstitutiveLaw, ParameterSpace, StandardLinearSolid
 
+from ..fingers import KnownLengths
 from ..options import FitOptions
 from .goal import Goal, Nuisances, losses
 from .indentation import IndentationRows
@@ -93,7 +94,8 @@ class AreaCorrection:
 class FitProblem:
     """Trials of one condition, the model and the options: everything J depends on.
 
-    space: of the model's parameters; box (D, 2): the search box in SI units. Arrays over all
+    known: of the lengths of the model's finger; by the model where it is left out. space: of the
+    model's parameters; box (D, 2): the search box in SI units. Arrays over all
     frames, trial after trial: measured (n,) m², force (n,) N, trial_of (n,), weight (n,), which
     sums to one within a trial. correction: of the model's areas, None before the correction to
     full order. indentations: of the trials that have them, q rows; None without. row_trial (n +
@@ -102,10 +104,17 @@ class FitProblem:
     are deterministic and safe from several threads.
     """
 
-    def __init__(self, trials: Sequence[FitTrial], model: AreaModel, options: FitOptions) -> None:
+    def __init__(
+        self,
+        trials: Sequence[FitTrial],
+        model: AreaModel,
+        options: FitOptions,
+        known: KnownLengths | None = None,
+    ) -> None:
         self.trials = tuple(trials)
         self.model = model
         self.options = options
+        self.known = known or KnownLengths.of_model(model)
         self.space: ParameterSpace = model.space
         self.box = options.box(self.space)
         self.measured = np.concatenate([t.area for t in self.trials])
@@ -129,6 +138,11 @@ class FitProblem:
 
     def __len__(self) -> int:
         return len(self.trials)
+
+    @property
+    def lengths(self) -> dict[str, float]:
+        """Relative deviation of each length of the finger that the fit allows for."""
+        return self.options.lengths(self.known.deviations)
 
     def areas(self, parameters: np.ndarray) -> np.ndarray:
         """Areas (P, n) in m² at the frames that count, for parameters (P, D): the model's,

@@ -40,6 +40,12 @@ MANY_FRAMES = 0.25
 MANY_DROPPED = 0.5
 """Part of the frames without a measured area from which the check fails."""
 
+ZERO_FORCE = 0.01
+"""N up to which a force is none: the area of a fingertip under it is some 2 mm²."""
+
+FEWEST_AT_REST = 3
+"""Frames at no force below which nothing is said of their areas."""
+
 TARE_NOTE, TARE_LIMIT = 0.01, 0.1
 """N of force on the unloaded plate from which it is noted, and from which it fails. It is taken off
 before the fit (`finger_offline.unloaded`)."""
@@ -100,9 +106,11 @@ def quality_of(fit: ConditionFit) -> Quality:
     _check_frames(out, problem.trials)
     _check_times(out, problem.trials)
     _check_lag(out)
-    _check_tare(out)
+    _check_tare(out, problem.trials)
     _check_scatter(out)
+    _check_lengths(out, fit)
     _check_misfit(out, fit, misfit(fit, np.array([t.gain for t in out.trials])))
+    _check_bounds(out, fit)
     _check_indentation(out, fit)
     _check_moisture(out, fit)
     return out
@@ -187,11 +195,13 @@ def _check_lag(out: Quality) -> None:
     out.add("lag of the areas", status, text)
 
 
-def _check_tare(out: Quality) -> None:
+def _check_tare(out: Quality, trials: Sequence[FitTrial]) -> None:
     tares = np.array([t.tare for t in out.trials])
     tares = tares[np.isfinite(tares)]
+    touched = _touched_at_rest(trials)
     if not len(tares):
-        out.add("tare", NOTE, "unknown: no press shows the unloaded plate")
+        text = "unknown: no press shows the unloaded plate"
+        out.add("tare", NOTE, "; ".join(filter(None, [text, touched])))
         return
     worst = float(tares[np.argmax(np.abs(tares))])
     status = FAIL if abs(worst) > TARE_LIMIT else NOTE if abs(worst) > TARE_NOTE else OK
@@ -199,7 +209,28 @@ def _check_tare(out: Quality) -> None:
         f"force without contact {np.median(tares):+.3f} N (median), at most {worst:+.3f} N; it is "
         "taken off"
     )
-    out.add("tare", status, minus(text))
+    status = NOTE if touched and status == OK else status
+    out.add("tare", status, minus("; ".join(filter(None, [text, touched]))))
+
+
+def _touched_at_rest(trials: Sequence[FitTrial]) -> str:
+    """Say that areas were measured without a force; empty where they were not."""
+    found = []
+    for trial in trials:
+        recording, area = trial.recording, np.asarray(trial.record.area, dtype=float)
+        force = np.interp(recording.frame_time, recording.time, recording.smooth)
+        force -= trial.rest.force if trial.rest else 0.0
+        found.append(area[(force <= ZERO_FORCE) & np.isfinite(area)])
+    areas = np.concatenate(found)
+    touched = areas[areas > 0.0]
+    # A few frames that come late are none of it.
+    if len(areas) < FEWEST_AT_REST or len(touched) <= 0.5 * len(areas):
+        return ""
+    return (
+        f"{len(touched)} of {len(areas)} frames where the force is zero show a contact, of "
+        f"{MM2 * float(np.median(touched)):.1f} mm² (median): the areas have an offset, or the "
+        "force another zero; correct what is wrong"
+    )
 
 
 def _check_scatter(out: Quality) -> None:
@@ -212,6 +243,43 @@ def _check_scatter(out: Quality) -> None:
         status,
         f"areas of whole presses differ from the model by {100 * spread:.1f} % (SD of the gain)",
     )
+
+
+def _check_lengths(out: Quality, fit: ConditionFit) -> None:
+    """Check that somebody gave the lengths of the finger."""
+    geometry, known = getattr(fit.problem.model, "geometry", None), fit.problem.known
+    if geometry is None:
+        return  # a model that is no finger
+    width, depth = 2e3 * geometry.pad_semi_axis_radial, 2e3 * geometry.pad_semi_axis_axial
+    size = f"{width:.3g} mm wide and {depth:.3g} mm deep"
+    if known.source:
+        out.add("lengths of the finger", OK, f"{size}, given by {known.source}")
+        return
+    out.add(
+        "lengths of the finger",
+        NOTE,
+        f"not given: a finger {size} is assumed, which nobody measured; measure width and depth "
+        "with calipers ('finger-model geometry') and give the lengths with --geometry",
+    )
+
+
+def _check_bounds(out: Quality, fit: ConditionFit) -> None:
+    """Say where the search box holds estimates back, so that intervals end there."""
+    known = fit.covariance
+    if known is None:
+        return
+    if not known.active:
+        out.add("search box", OK, "no parameter lies on a bound")
+        return
+    headline = fit.space.describe(fit.space.headline)
+    names = [f"{fit.space[name].symbol} ({end})" for name, end in known.active.items()]
+    held = known.holds(headline.name)
+    text = f"{', '.join(names)} on a bound" + (f", and so {headline.symbol}" if held else "")
+    text += ": an interval ends at the box, so that it may miss the true value"
+    remedy = "give other --bounds where the tissue may lie beyond"
+    if not fit.problem.known.source and getattr(fit.problem.model, "geometry", None) is not None:
+        remedy = "a finger of another size ends on bounds too: give its lengths with --geometry"
+    out.add("search box", NOTE, f"{text}; {remedy}")
 
 
 def _check_misfit(out: Quality, fit: ConditionFit, found: Misfit) -> None:

@@ -47,11 +47,17 @@ def identifiability(result: FitResult) -> str:
     header = [
         "condition",
         "on a bound",
-        "strongest correlations",
+        "strongest correlations, all free",
         f"SD of ln {headline.html} (%)",
         "noise of a frame (mm²)",
     ]
-    return table(header, rows, (1, 2)) + listing(notes)
+    return (
+        table(header, rows, (1, 2))
+        + "<p class=lead>Correlations, all free: which parameters these data trade against each "
+        "other. No parameter is held at a bound, and the assumed lengths and gain may change with "
+        "them, within their priors. The table of covariances below answers another question.</p>"
+        + listing(notes)
+    )
 
 
 def _correlations(fit: ConditionFit) -> str:
@@ -83,9 +89,12 @@ def covariances(result: FitResult) -> str:
             rows.append([escape(condition) if not i else "", space[name].html, *cells])
     header = ["condition", "", *(space[n].html for n in space.names)]
     return table(header, rows, (1,)) + (
-        "<p class=lead>Covariance of the logarithms: standard deviations on the diagonal, "
-        "correlations below it; without nuisance parameters that of the bootstrap, where there is "
-        "one. A parameter on a bound has none.</p>"
+        "<p class=lead>Covariance of the logarithms of these estimates "
+        "(<code>covariance_log</code> in fit.json): standard deviations on the diagonal, "
+        "correlations below it. It says how far the estimates of this fit err together: a "
+        "parameter on a bound is held there and has no entry, and the errors of the assumed "
+        "lengths and gain are included, so that correlations differ from those above. Without "
+        "nuisance parameters it is that of the bootstrap, where there is one.</p>"
     )
 
 

@@ -7,14 +7,39 @@ from __future__ import annotations
 
 from html import escape
 
+from finger_model.geometry import LENGTHS
+
 from ..nuisance.result import NuisanceResult, NuisanceValue
 from ..nuisance_names import name_of
 from ..report_units import minus
-from ..results import FitResult
+from ..results import AssumedLengths, FitResult
 from .markup import listing, table
 
 DISPLAY = {"N": (1e3, "mN", 0), "s": (1e3, "ms", 0), "": (1e2, "%", 1)}
 """Factor, unit and decimals of a nuisance by its SI unit."""
+
+
+def lengths(result: FitResult) -> str:
+    """Lengths of the finger as the fit assumed them, with their deviations."""
+    text = ""
+    for finger in AssumedLengths.of(result.fits.values()):
+        rows = []
+        for name, value in finger.geometry.to_dict().items():
+            deviation = finger.deviations.get(name)
+            known = "–"
+            if deviation is not None:
+                known = f"± {1e3 * deviation:.2f} mm ({100 * deviation / abs(value):.0f} %)"
+            rows.append(
+                [escape(LENGTHS[name].partition(";")[0]), minus(f"{1e3 * value:.2f}"), known]
+            )
+        text += f"<p>Lengths of the finger, {escape(finger.words)}:</p>"
+        text += table(["length", "mm", "standard deviation"], rows, (0, 2))
+    if text:
+        text += (
+            "<p class=lead>The fit keeps these lengths; its first intervals allow for their "
+            "deviations, as if they were independent. –: not allowed for.</p>"
+        )
+    return text
 
 
 def nuisances(result: FitResult) -> str:

@@ -20,7 +20,7 @@ from finger_common.files import atomic_write
 from ..results import FitResult
 from . import candidates, data, goodness, identifiability, parameters, provenance
 from .figures import FIGURES, STYLE, all_figures, captions_of
-from .nuisances import nuisances
+from .nuisances import lengths, nuisances
 
 NARROW = ("moisture", "convergence")
 """Figures of less than the page's width."""
@@ -154,6 +154,7 @@ def render(result: FitResult, pictures: dict[str, bytes]) -> str:
         figure("candidates"),
         figure("profiles"),
         identifiability.identifiability(result),
+        lengths(result),
         nuisances(result),
         identifiability.covariances(result),
         identifiability.bootstrap(result),

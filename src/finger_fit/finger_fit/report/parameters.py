@@ -58,8 +58,10 @@ def parameters(result: FitResult) -> str:
     )
     if any(_has_assumed(fit) for fit in result.fits.values()):
         note += (
-            " These intervals hold all that is unknown, also the assumed lengths of the finger and "
-            "the assumed gain of all areas: use them to compare with other fingers and rigs. "
+            " These intervals allow for all that is unknown, also the assumed lengths of the "
+            "finger and the assumed gain of all areas: use them to compare with other fingers and "
+            "rigs. They end at the search box: a condition with † may need values beyond it, and "
+            "then they may miss the truth. "
             "<i>From the data alone</i>: the interval if those were exactly as assumed, and the "
             "standard deviation of the logarithm that they add to it (as squares). More presses "
             "narrow the first; only measuring the finger and the plate narrows the second."

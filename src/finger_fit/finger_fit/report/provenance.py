@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from html import escape
+from typing import Any
 
 from ..results import FitResult
 from .markup import table
@@ -29,7 +31,7 @@ def provenance(result: FitResult) -> str:
         ["date (UTC)", escape(f"{sources.get('date', '–')} {sources.get('time_utc', '')}")],
         ["seed", str(options.seed)],
         ["material law", escape(str(sources.get("law", "–")))],
-        ["geometry", _code(sources.get("geometry_hash", "–"))],
+        ["geometry", _geometry(sources)],
         ["reduced model", _code(sources.get("reduced_model_hash", "–"))],
         [
             "measured error of the reduced model",
@@ -49,6 +51,13 @@ def provenance(result: FitResult) -> str:
         header = ["bag", "trials", "areas", "force", "SHA-256, first 16 digits"]
         text += table(header, bags, (2, 3, 4))
     return text
+
+
+def _geometry(sources: Mapping[str, Any]) -> str:
+    """Where the lengths of the finger come from, and the hash of its geometry."""
+    stated = sources.get("geometry")
+    words = "of each subject its own" if stated is None else stated["source"]
+    return f"{escape(str(words))}; {_code(sources.get('geometry_hash') or '–')}"
 
 
 def _code(text: object) -> str:

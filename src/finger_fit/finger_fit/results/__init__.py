@@ -7,6 +7,7 @@ from .contrasts import Contrast, contrasts
 from .files import check_folder, check_writable, write
 from .fit_json import condition_dict, fit_dict
 from .fits import (
+    AssumedLengths,
     ConditionFit,
     CrossCheck,
     DeformedFinger,

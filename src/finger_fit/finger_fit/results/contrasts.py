@@ -118,7 +118,7 @@ def _logarithms(fit: ConditionFit, name: str) -> tuple[np.ndarray, str]:
     of two conditions has the same errors of what they share.
     """
     assert fit.covariance is not None
-    known, seed = fit.covariance.released(fit.problem.box), fit.problem.options.seed
+    known, seed = fit.covariance.released, fit.problem.options.seed
     own = np.random.default_rng([seed, *fit.condition.encode()])
     # No resampling of the presses shows what they share: with nuisances, the covariance does.
     samples = fit.samples

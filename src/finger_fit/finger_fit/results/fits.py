@@ -231,6 +231,48 @@ class ConditionFit:
 
 
 @dataclass(frozen=True)
+class AssumedLengths:
+    """Lengths of a finger as a fit assumed them.
+
+    deviations: standard deviations (m) by key of geometry.yaml, of those that the intervals allow
+    for; source: what gave the lengths, empty for the default finger, which nobody measured.
+    """
+
+    geometry: Geometry
+    deviations: dict[str, float]
+    source: str
+
+    @classmethod
+    def of(cls, fits: Iterable[ConditionFit]) -> list[AssumedLengths]:
+        """Those of all fits, each once."""
+        found: list[AssumedLengths] = []
+        for problem in (fit.problem for fit in fits):
+            geometry = getattr(problem.model, "geometry", None)
+            if geometry is None:
+                continue
+            lengths = geometry.to_dict()
+            relative = problem.lengths if problem.options.nuisances else {}
+            deviations = {name: sd * abs(lengths[name]) for name, sd in relative.items()}
+            own = cls(geometry, deviations, problem.known.source)
+            if own not in found:
+                found.append(own)
+        return found
+
+    @property
+    def words(self) -> str:
+        """Where the lengths come from."""
+        return f"given by {self.source}" if self.source else "default finger, not measured"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Lengths and deviations (m) for fit.json, with the words of where they come from."""
+        return {
+            "source": self.words,
+            "lengths": self.geometry.to_dict(),
+            "deviations": self.deviations,
+        }
+
+
+@dataclass(frozen=True)
 class DeformedFinger:
     """The full-order finger of one trial at its last frame (SI), for a figure.
 
@@ -279,7 +321,7 @@ class FitResult:
 
     @property
     def model(self) -> Any:
-        """The model that was fitted, the same in all conditions."""
+        """The model that was fitted, the same in all conditions of a subject."""
         return next(iter(self.fits.values())).problem.model
 
     @property
@@ -288,8 +330,16 @@ class FitResult:
         fits, of that one where it is largest; empty for other models."""
         if not hasattr(self.model, "error_of"):
             return {}
-        stated = [self.model.error_of(f.parameters, f.largest_force) for f in self.fits.values()]
+        models: list[tuple[Any, ConditionFit]] = [(f.problem.model, f) for f in self.fits.values()]
+        stated = [model.error_of(f.parameters, f.largest_force) for model, f in models]
         return max(stated, key=lambda error: error.get("rms_p99", 0.0))
+
+    @property
+    def assumed_finger(self) -> AssumedLengths | None:
+        """Lengths that were assumed of the finger; None where subjects have several, and of a model
+        without."""
+        found = AssumedLengths.of(self.fits.values())
+        return found[0] if len(found) == 1 else None
 
     @property
     def interrupted(self) -> bool:

@@ -213,7 +213,7 @@ class _Stages:
             fit.covariance = covariance(problem, fit.parameters)
         if settled is not None:
             allowed = settled.nuisances.names
-            left_out = tuple(name for name in options.lengths() if name not in allowed)
+            left_out = tuple(name for name in problem.lengths if name not in allowed)
             fit.nuisance = nuisance_result(problem, settled, fit.covariance, left_out, without)
         if self.better is not None and self.reduced:
             with progress.timed("full order"):
@@ -250,7 +250,7 @@ class _Stages:
         """The nuisances of the problem; the finger's lengths by the population's model or, where
         the full order is asked for, by that."""
         problem, options, better = self.problem, self.options, self.better
-        lengths = options.lengths()
+        lengths = problem.lengths
         population = PopulationGeometry.like(problem.model) if lengths and self.reduced else None
         responses = {}
         if population is None and lengths and isinstance(better, FullOrder):

@@ -195,7 +195,7 @@ def force_modes(fit: ConditionFit) -> dict[str, dict[str, float]]:
     changed = replace(options, force=other)
     records = [trial.record for trial in fit.problem.trials]
     trials, _ = prepare_all(records, changed, changed.memory(fit.problem.space))
-    problem = FitProblem(trials, fit.problem.model, changed)
+    problem = FitProblem(trials, fit.problem.model, changed, fit.problem.known)
     problem.weigh(fit.problem.area_noise)
     if len(problem.observed) == len(fit.problem.observed):
         problem.correction = fit.problem.correction

@@ -26,6 +26,7 @@ def provenance(
 ) -> dict[str, Any]:
     """What a fit is made of, for fit.json and the report."""
     model, now = result.model, datetime.now(timezone.utc)
+    finger = result.assumed_finger
     return {
         "command": command,
         "date": now.date().isoformat(),
@@ -36,7 +37,8 @@ def provenance(
         "libraries": {name: _version(name) for name in LIBRARIES},
         "seed": options.seed,
         "law": getattr(material_of(model), "name", "none"),
-        "geometry_hash": model.geometry.hash() if hasattr(model, "geometry") else "",
+        "geometry_hash": "" if finger is None else finger.geometry.hash(),
+        "geometry": None if finger is None else finger.to_dict(),
         "reduced_model_hash": getattr(model, "hash", ""),
         "reduced_model_error": result.model_error,
         "bags": list(bags),

@@ -17,12 +17,12 @@ import numpy as np
 from finger_common.errors import FingerError, InputError, ModelError, listed
 from finger_common.subject_code import may_be_one
 from finger_model.fem.area_model import FullOrderAreas
-from finger_model.finger import serving
 from finger_model.reduced import ReducedModel
 from finger_offline.trial_split import CONDITION, TrialSettings
 
 from .. import results
 from ..engine import Engine, LocalEngine, engine_for
+from ..fingers import Fingers
 from ..full_order import FullOrder
 from ..options import FitOptions
 from ..problem import Exclusion, FitProblem, FitTrial, finger_of, material_of, prepare_all
@@ -57,26 +57,30 @@ def fit_records(
 ) -> FitResult:
     """Fit recorded trials, subject by subject and condition by condition.
 
-    options.pool fits all subjects as one. Raises InputError when nothing can be fitted.
+    model: of all subjects, or the `Fingers` of each. options.pool fits all subjects as one. Raises
+    InputError when nothing can be fitted.
     """
+    fingers = Fingers.of(model)
     _check_spelling(records)
+    fingers.check((record.subject or UNNAMED for record in records), options.pool)
     if not options.pool:
         _check_fingers(records)
     screened = screen(records, options.indentation_sd > 0)
-    trials, excluded = prepare_all(screened.records, options, options.memory(model.space))
+    trials, excluded = prepare_all(screened.records, options, options.memory(fingers.space))
     exclusions = [*screened.exclusions, *excluded]
     notes = list(screened.notes)
     if not trials:
         raise nothing_to_fit(exclusions)
     highest = max(trial.drive.highest for trial in trials)
-    corners = np.array(list(itertools.product(*options.box(model.space))))
-    given, model = model, serving(model, highest, corners)
-    if model is not given:
+    corners = np.array(list(itertools.product(*options.box(fingers.space))))
+    given, fingers = fingers, fingers.serving(highest, corners)
+    models = [finger.model for finger in fingers.by_subject.values()]
+    if any(m is not f.model for m, f in zip(models, given.by_subject.values())):
         notes.append(
             f"the force goes up to {highest:.2f} N, beyond the reduced model of the default "
             "finger: fitted with that of the population box"
         )
-    if material_of(model) is None:
+    if material_of(models[0]) is None:
         notes.append(
             "the model has no 'material', the law of its parameters: without it there is no "
             "full-order model, for correction, check, the finger's lengths and the deformed "
@@ -87,12 +91,12 @@ def fit_records(
         subjects.setdefault(trial.subject, []).append(trial)
     _check_codes(subjects)
     with engine_for(options.dask) as engine:
-        work = _Work(model, options, conditions, engine, folder, report)
+        work = _Work(fingers, options, conditions, engine, folder, report)
         if len(subjects) == 1 or options.pool:
             if len(subjects) > 1:
                 notes.append(f"{len(subjects)} subjects are pooled: {', '.join(subjects)}")
-            elif not may_be_one(*(fingers := {t.finger for t in trials})):
-                notes.append(f"fingers are pooled: {', '.join(sorted(filter(None, fingers)))}")
+            elif not may_be_one(*(named := {t.finger for t in trials})):
+                notes.append(f"fingers are pooled: {', '.join(sorted(filter(None, named)))}")
             try:
                 part = work.fit_subject(trials)
             except InputError as error:
@@ -185,7 +189,7 @@ class _Work:
     learns of the progress.
     """
 
-    model: Any
+    fingers: Fingers
     options: FitOptions
     conditions: Sequence[str]
     engine: Engine
@@ -218,15 +222,16 @@ class _Work:
         self, subjects: Mapping[str, Sequence[FitTrial]]
     ) -> Iterator[tuple[str, _Outcome]]:
         """Fit each subject's trials as one piece of work of a cluster, without checkpoints."""
-        done = Progress("", len(self.model.space), self.report).count("subjects")
+        done = Progress("", len(self.fingers.space), self.report).count("subjects")
         # A worker may have no processes of its own.
-        shared = _Work(self.model, self.options, self.conditions, LocalEngine(1))
+        shared = _Work(self.fingers, self.options, self.conditions, LocalEngine(1))
         found = self.engine.map(_fit_alone, shared, list(subjects.values()), done)
         return zip(subjects, found, strict=True)
 
     def fit_subject(self, trials: Sequence[FitTrial]) -> FitResult:
         """Fit the conditions of one subject; raises InputError when none can be fitted."""
         groups, notes = group_trials(trials, self.options, self.conditions)
+        finger = self.fingers.of_subject(trials[0].subject or UNNAMED)
         fits: dict[str, ConditionFit] = {}
         stopped = False
         left = list(groups)
@@ -239,7 +244,7 @@ class _Work:
                 )
                 continue
             try:
-                problem = FitProblem(group, self.model, self.options)
+                problem = FitProblem(group, finger.model, self.options, finger.lengths)
                 fit = fit_condition(problem, name, self.engine, self.folder, self.report)
                 if fit.status != "interrupted":
                     fit.quality = quality_of(fit)
@@ -385,19 +390,20 @@ def fit_bags(
 ) -> FitResult:
     """Fit bags and write fit.json, parameters.yaml, report.html and its figures into `output`.
 
-    paths: bags and folders of bags; model: a ReducedModel, or a FullOrderAreas of any law, None for
-    the shipped reduced model; conditions: names to fit, empty for all; settings: how the bags are
-    read, by `reading`; command: how the fit was asked for, for its provenance. Of several subjects,
-    each has its own folder in `output`. Nothing is written without `output`. Raises InputError for
-    bags that cannot be fitted, and for an output folder that holds a fit of other subjects.
+    paths: bags and folders of bags; model: a ReducedModel, a FullOrderAreas of any law or the
+    `Fingers` of the subjects, None for the shipped reduced model; conditions: names to fit, empty
+    for all; settings: how the bags are read, by `reading`; command: how the fit was asked for, for
+    its provenance. Of several subjects, each has its own folder in `output`. Nothing is written
+    without `output`. Raises InputError for bags that cannot be fitted, and for an output folder
+    that holds a fit of other subjects.
     """
     options = options or FitOptions()
-    model = model or ReducedModel.load()
-    options.check_names(model.space, getattr(model, "geometry", None))
+    fingers = Fingers.of(model or ReducedModel.load())
+    options.check_names(fingers.space, fingers.geometries)
     folder = None if output is None else Path(output)
     if folder is not None:
         results.check_writable(folder)
-    progress = Progress("", len(model.space), report)
+    progress = Progress("", len(fingers.space), report)
     with progress.timed("load"):
         loaded = load(paths, settings or reading(options), progress.count("load"))
     if not loaded.records:
@@ -405,7 +411,7 @@ def fit_bags(
     if folder is not None:
         tried = {Finger(r.subject, finger_of(r)) for r in loaded.records}
         results.check_folder(folder, tried | {Finger(e.subject, "") for e in loaded.exclusions})
-    result = fit_records(loaded.records, model, options, conditions, folder, report)
+    result = fit_records(loaded.records, fingers, options, conditions, folder, report)
     result.exclusions = [*loaded.exclusions, *result.exclusions]
     for name, part in result.subjects.items():
         _exclude(part, loaded.exclusions, name)
@@ -441,10 +447,10 @@ def _write(result: FitResult, folder: Path, progress: Progress) -> None:
 
 def draw(result: FitResult) -> None:
     """Compute the deformed finger that the report of each subject shows."""
-    full_order = FullOrder.like(result.model)
-    if full_order is None:
-        return
     for part in result.parts.values():
+        full_order = FullOrder.like(part.model)
+        if full_order is None:
+            return
         fit, trial = part.example()
         try:
             part.deformed = deformed_finger(fit, trial, full_order)

@@ -14,11 +14,17 @@ With nuisance parameters (`problem.Goal`), those of one trial are eliminated in 
 B; those shared by all trials are further coordinates, with their priors in H and in both B. So the
 covariance holds what a prior leaves open too. Assumed ones are not estimated: the estimate answers
 to each by K = −H⁻¹ ∂²J/∂x∂c, and its covariance is V + K C Kᵀ, with C of their priors.
+
+A parameter on a bound of the search box is not known either. A quantity has the larger deviation of
+two: with the other parameters held at their bounds, and *released*, where they may move, with no
+more known of them than that they lie in the box. Held, they would make it seem known to a third of
+its error. `covariance`, which the live model samples, holds them: they cannot leave the box.
 """
 
 from __future__ import annotations
 
 import functools
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -44,10 +50,10 @@ class Covariance:
     """Curvature and covariance of the coordinates at the best parameters (N,).
 
     curvature (N, N): H in m⁴; noise: m², standard deviation of a frame's residual; active:
-    parameters on a bound, with "low" or "high"; scores (M, T): Σ w r s of every trial;
-    frame_information (M, M): B of independent frames. nuisances: names of the K shared nuisances,
-    M = N + K: they follow the parameters in curvature, scores and frame_information, and in prior
-    (M,), their part of H; assumed (K,): which are not estimated.
+    parameters on a bound of the search box (N, 2), with "low" or "high"; scores (M, T): Σ w r s of
+    every trial; frame_information (M, M): B of independent frames. nuisances: names of the K shared
+    nuisances, M = N + K: they follow the parameters in curvature, scores and frame_information, and
+    in prior (M,), their part of H; assumed (K,): which are not estimated.
     """
 
     space: ParameterSpace
@@ -55,6 +61,7 @@ class Covariance:
     curvature: np.ndarray
     noise: float
     active: dict[str, str]
+    box: np.ndarray
     scores: np.ndarray
     frame_information: np.ndarray
     prior: np.ndarray
@@ -71,12 +78,13 @@ class Covariance:
             found += moves.T @ moves
         return found
 
-    def released(self, box: np.ndarray) -> Covariance:
+    @functools.cached_property
+    def released(self) -> Covariance:
         """The same with the parameters on a bound free to move, of which no more is known than that
-        they lie in the search box (N, 2)."""
+        they lie in the search box."""
         if not self.active:
             return self
-        low, high = self.space.to_log(box.T)
+        low, high = self.space.to_log(self.box.T)
         held = [self.space.index(name) for name in self.active]
         variance = self.variance or self.noise**2
         own = np.zeros(len(self.prior))
@@ -97,8 +105,9 @@ class Covariance:
         return bool(of) and of <= set(self.active)
 
     def correlation(self, first: str, second: str) -> float:
-        """Correlation of two parameters' logarithms as if no bound were active; NaN without
-        variance."""
+        """Correlation of two parameters' logarithms by the curvature alone: which of them the data
+        trade against each other, as if no bound were active and the assumed nuisances were
+        estimated too; NaN without variance. `covariance` tells how estimates err together."""
         inverse = inverse_of(self.curvature)
         i, j = self.space.index(first), self.space.index(second)
         scale = np.sqrt(inverse[i, i] * inverse[j, j])
@@ -106,13 +115,30 @@ class Covariance:
 
     def data_deviation(self, name: str) -> float:
         """Standard deviation of a quantity's logarithm from the data alone, as if the assumed
-        nuisances were known exactly.
+        nuisances were known exactly."""
+        return self._by_data(name)[0]
 
-        A parameter on a bound is freed for its own deviation only. Where a derived quantity depends
-        on bounded parameters alone, the one that it is solved for is freed.
+    def _by_data(self, name: str) -> tuple[float, Covariance, list[int]]:
+        """`data_deviation`, with the covariance and the free parameters that give it."""
+        found = []
+        for known, free in self._views(name):
+            index, part = known._estimated(free, name)
+            found.append((float(np.sqrt(part @ known._sandwich(index) @ part)), known, free))
+        return max(found, key=lambda one: one[0])
+
+    def _views(self, name: str) -> list[tuple[Covariance, list[int]]]:
+        """Covariances with the parameters that are free for a quantity: with the others held at
+        their bounds, and released.
+
+        Held, a parameter on a bound is free for its own deviation only. Where a derived quantity
+        depends on such parameters alone, the one that it is solved for is free.
         """
-        index, part = self._estimated(self._freed(name), name)
-        return float(np.sqrt(part @ self._sandwich(index) @ part))
+        space = self.space
+        derived = space.derived.get(name)
+        own = {name} if derived is None else {derived.solves_for} if self.holds(name) else set()
+        free = [i for i, n in enumerate(space.names) if n not in self.active or n in own]
+        released = self.released
+        return [(self, free), (released, released._free())]
 
     def data_covariance(self) -> np.ndarray:
         """`covariance` (N, N) from the data alone, as if the assumed nuisances were known."""
@@ -130,31 +156,24 @@ class Covariance:
 
     def assumed_moves(self, name: str) -> dict[str, float]:
         """Change of a quantity's logarithm by one prior deviation of each assumed nuisance."""
-        moves = self.responses(self._freed(name)) @ self.space.log_gradient(name, self.parameters)
-        found = zip(self.nuisances, moves, self.assumed)
-        return {n: float(move) for n, move, assumed in found if assumed}
+        gradient = self.space.log_gradient(name, self.parameters)
+        found = [
+            (known.responses(free) @ gradient)[self.assumed] for known, free in self._views(name)
+        ]
+        larger = max(found, key=lambda moves: float(np.linalg.norm(moves)))
+        names = itertools.compress(self.nuisances, self.assumed)
+        return {name: float(move) for name, move in zip(names, larger)}
 
     def deviation(self, name: str) -> float:
-        """Standard deviation of a quantity's logarithm with all that is unknown; on a bound as in
-        `data_deviation`."""
+        """Standard deviation of a quantity's logarithm with all that is unknown."""
         return float(np.hypot(self.data_deviation(name), self.assumed_deviation(name)))
 
     def rise(self, name: str) -> float:
         """Rise of J (m⁴) along a quantity's profile at one `data_deviation`."""
-        index, part = self._estimated(self._freed(name), name)
-        inverse = inverse_of(self.curvature[np.ix_(index, index)])
-        return self.data_deviation(name) ** 2 / max(float(part @ inverse @ part), 1e-300)
-
-    def _freed(self, name: str) -> list[int]:
-        """Parameters that are free for the interval of a quantity."""
-        space = self.space
-        unbounded = set(space.names) - set(self.active)
-        if name in space.derived:
-            derived = space.derived[name]
-            freed = set() if unbounded & set(derived.of) else {derived.solves_for}
-        else:
-            freed = {name}
-        return [i for i, n in enumerate(space.names) if n in unbounded | freed]
+        deviation, known, free = self._by_data(name)
+        index, part = known._estimated(free, name)
+        inverse = inverse_of(known.curvature[np.ix_(index, index)])
+        return deviation**2 / max(float(part @ inverse @ part), 1e-300)
 
     def _free(self) -> list[int]:
         """Parameters that lie on no bound."""
@@ -192,11 +211,10 @@ class Covariance:
 
         By the prior of each shared nuisance, and the rest, "data"; their squares add up.
         """
-        free = self._freed(name)
-        gradient = self.space.log_gradient(name, self.parameters)
-        parts = np.abs(self.responses(free) @ gradient)
-        index, part = self._estimated(free, name)
-        alone = float(part @ self._sandwich(index) @ part)
+        deviation, known, free = self._by_data(name)
+        parts = np.abs(known.responses(free) @ self.space.log_gradient(name, self.parameters))
+        parts[self.assumed] = np.abs(list(self.assumed_moves(name).values()))
+        alone = deviation**2
         data = np.sqrt(max(alone - float((parts[~self.assumed] ** 2).sum()), 0.0))
         return {"data": float(data), **dict(zip(self.nuisances, map(float, parts)))}
 
@@ -330,6 +348,7 @@ def covariance(
         curvature,
         noise,
         active,
+        np.array(problem.box),
         scores,
         information,
         prior,
