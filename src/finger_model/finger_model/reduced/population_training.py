@@ -5,9 +5,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -50,6 +51,10 @@ MIDDLE_COUNT = 2.0
 REFINING_COUNT = 1.5
 """How much a run on the default mesh counts in the contact network beside one on the coarse."""
 DECAY = 0.1
+RETURNS, RETURNING_RATE = 25, 3e-3
+"""Epochs and first rate of the drive's training with the states that it visits itself."""
+FARTHEST = 0.5
+"""Of the strain: visited states farther off the full order's are not trained on."""
 PIECE = 24
 """Rows of one piece of a history in training."""
 
@@ -107,14 +112,6 @@ def padded(runs: Iterable[tuple[np.ndarray, Columns]]) -> Rows:
     return Rows(np.array(owners, np.float32), *arrays)
 
 
-def _inputs(run: Run, states: np.ndarray | None = None) -> np.ndarray:
-    x = load_measure_of(run)
-    if states is None:
-        return features(x, run.internal[:, :LATENTS], None, np.zeros((len(x), 0)))
-    k = LATENTS
-    return features(x, states[:, :k], states[:, k:], np.zeros((len(x), 0)))
-
-
 def load_measure_of(run: Run) -> np.ndarray:
     """x (n,) along a run."""
     return np.cbrt(np.maximum(run.force, 0.0) / run.scale)
@@ -135,14 +132,32 @@ def _contact_targets(run: Run) -> np.ndarray:
 
 
 @dataclass
-class Guessed:
-    """What a run's own elastic curves say along it: rest R (n,), guess (n, 3 + k), mix (n, 2 + k),
-    and which rows (n,) lie within the presses."""
+class Seen:
+    """What is seen along a run: amplitudes a and friction states q (n, k + m), rest R (n,), guess
+    (n, 3 + k), mix (n, 2 + k), and which rows (n,) count."""
 
+    states: np.ndarray
     rest: np.ndarray
     guess: np.ndarray
     mix: np.ndarray
     inside: np.ndarray
+
+    @classmethod
+    def at(
+        cls,
+        networks: np.ndarray,
+        record: np.ndarray,
+        work: np.ndarray,
+        run: Run,
+        states: np.ndarray,
+        inside: np.ndarray,
+    ) -> Seen:
+        """What the guesses are at states (n, k + m), with the kernels' records of one finger."""
+        end = 1 + 3 + LATENTS
+        table = np.empty((len(states), end + rk.MIX_INPUTS + LATENTS))
+        amplitudes = np.ascontiguousarray(states[:, :LATENTS])
+        rk.guesses(networks, record, work, load_measure_of(run), amplitudes, table)
+        return cls(states, table[:, 0], table[:, 1:end], table[:, end:], inside)
 
 
 def _own_curves(run: Run) -> np.ndarray:
@@ -152,26 +167,26 @@ def _own_curves(run: Run) -> np.ndarray:
     return extended(curves)
 
 
-def guessed(
+def exactly(
     types: rk.RecordTypes, run: Run, response: np.ndarray, curves: np.ndarray | None = None
-) -> Guessed:
-    """Guesses along a run on the coarse mesh, at its own internal strain, with the response K
-    (k, k) of the strain; curves (2, nodes, 3 + k): predicted ones where the run has no presses."""
+) -> Seen:
+    """What the full order itself visits along a run on the coarse mesh, with the response K (k, k)
+    of the strain; curves (2, nodes, 3 + k): predicted ones where the run has no presses.
+
+    Of a run with presses only the rows within them count.
+    """
     networks = np.zeros(1, types.networks)
     networks["response"] = response
     record = np.zeros(1, types.parameters)
     record["share"] = run.share
     fill_curves(record, _own_curves(run) if curves is None else curves)
     x = load_measure_of(run)
-    internal = np.ascontiguousarray(run.internal[:, :LATENTS])
-    end = 1 + 3 + LATENTS
-    table = np.empty((len(x), end + rk.MIX_INPUTS + LATENTS))
-    rk.guesses(networks, record, np.zeros(1, types.work), x, internal, table)
     inside = np.ones(len(x), bool)
     if curves is None:
         reached = [NODES[np.isfinite(c[:, 0])].max() for c in run.presses]
         inside = (x <= reached[0] * 1.01) & (x <= reached[1] * run.share ** (1 / 3) * 1.01)
-    return Guessed(table[:, 0], table[:, 1:end], table[:, end:], inside)
+    states = np.column_stack([run.internal[:, :LATENTS], friction_states(run)])
+    return Seen.at(networks, record, np.zeros(1, types.work), run, states, inside)
 
 
 def response_of(types: rk.RecordTypes, runs: list[Run]) -> np.ndarray:
@@ -180,7 +195,7 @@ def response_of(types: rk.RecordTypes, runs: list[Run]) -> np.ndarray:
     none = np.zeros((LATENTS, LATENTS))
     square, product = none.copy(), none.copy()
     for run in runs:
-        own = guessed(types, run, none)
+        own = exactly(types, run, none)
         internal = run.internal[:, :LATENTS]
         scale = strain_scales(load_measure_of(run), internal)
         used = own.inside & (run.force >= FIRST_FORCE)
@@ -216,55 +231,41 @@ def fit_elastic(
     return fitted("fitting them without outliers", *kept)
 
 
-def drive_columns(run: Run, own: Guessed) -> Columns:
-    """Columns of the drive along a run on the coarse mesh."""
-    x, internal = load_measure_of(run), run.internal[:, :LATENTS]
-    depth = run.indentation / run.length - x * x * np.exp(own.guess[:, 2])
-    scale = strain_scales(x, internal)
-    strain = (run.total[:, :LATENTS] - own.guess[:, 3:]) / own.rest[:, None]
+def drive_columns(run: Run, seen: Seen) -> Columns:
+    """Columns of the drive along a run on the coarse mesh: of the full order's own states, or of
+    others, from which the same strain and depth lead back to it."""
+    x, amplitudes = load_measure_of(run), seen.states[:, :LATENTS]
+    depth = run.indentation / run.length - x * x * np.exp(seen.guess[:, 2])
+    scale = strain_scales(x, amplitudes)
+    strain = (run.total[:, :LATENTS] - seen.guess[:, 3:]) / seen.rest[:, None]
     targets = np.column_stack([depth / scale ** (2 / 3), strain])
     # Errors count somewhat more than in proportion to the strain: early ones stay in the state.
-    share = scale / scale.max()
-    count = counts(run) * own.inside
+    true = strain_scales(x, run.internal[:, :LATENTS])
+    share = true / true.max()
+    off = np.linalg.norm(amplitudes - run.internal[:, :LATENTS], axis=1)
+    count = counts(run) * seen.inside * (off <= FARTHEST * true)
     weights = np.repeat((count * share**0.5)[:, None], 1 + LATENTS, axis=1)
     weights[:, 0] = 2.0 * count * share ** (2 / 3)
-    weights[scale < 1e-4] = 0.0
-    return _inputs(run), targets, weights
+    weights[np.minimum(scale, true) < 1e-4] = 0.0
+    return features(x, amplitudes, None, np.zeros((len(x), 0))), targets, weights
 
 
-@dataclass
-class Visited:
-    """What is seen along a run: amplitudes a and friction states q (n, k + m), guess (n, 3 + k),
-    mix (n, 2 + k), and which rows (n,) count."""
-
-    states: np.ndarray
-    guess: np.ndarray
-    mix: np.ndarray
-    inside: np.ndarray
-
-
-def _exactly(run: Run, own: Guessed) -> Visited:
-    """What the full order itself visits along a run."""
-    states = np.column_stack([run.internal[:, :LATENTS], friction_states(run)])
-    return Visited(states, own.guess, own.mix, own.inside)
-
-
-def contact_columns(run: Run, seen: Visited, count: float = 1.0) -> Columns:
+def contact_columns(run: Run, seen: Seen, count: float = 1.0) -> Columns:
     """Columns of the contact along a run that counts so much."""
     touching = _touching(run)
     share = count * counts(run) * run.area / run.area.max() * touching * seen.inside
     targets = _contact_targets(run) - np.where(touching[:, None], seen.guess[:, :2], 0.0)
-    inputs = np.column_stack([_inputs(run, seen.states), seen.mix])
-    return inputs, targets, np.column_stack([share, 0.1 * share])
+    amplitudes, friction = seen.states[:, :LATENTS], seen.states[:, LATENTS:]
+    inputs = features(load_measure_of(run), amplitudes, friction, np.zeros((len(share), 0)))
+    return np.column_stack([inputs, seen.mix]), targets, np.column_stack([share, 0.1 * share])
 
 
-@dataclass
-class Sample:
-    """A run on the coarse mesh, what the maps know of its finger, and the guesses along it."""
+class Sample(NamedTuple):
+    """A run on the coarse mesh, what the maps know of its finger, and what it visits itself."""
 
     run: Run
     finger: Finger
-    own: Guessed
+    own: Seen
 
 
 def train(
@@ -289,52 +290,57 @@ def train(
     types = rk.record_types(LATENTS, len(BETAS), DRIVE[0], CONTACT[0])
     response = response_of(types, runs)
     pressed = [
-        Sample(run, finger._replace(curves=_own_curves(run)), guessed(types, run, response))
+        Sample(run, finger._replace(curves=_own_curves(run)), exactly(types, run, response))
         for run, finger in zip(runs, _fingers(elastic, runs, coarse=True))
     ]
     predicted = [
-        Sample(run, finger, guessed(types, run, response, finger.curves))
+        Sample(run, finger, exactly(types, run, response, finger.curves))
         for run, finger in zip(further, _fingers(elastic, further, coarse=True))
     ]
     coarse = [*pressed, *predicted]
-    rows = padded((one.finger.inputs, drive_columns(one.run, one.own)) for one in coarse)
-    drive = ContextNetwork(rows, *DRIVE)
-    _fit(drive, rows, epochs, "training the drive", report, each)
+    rows = [(finger.inputs, drive_columns(run, own)) for run, finger, own in coarse]
+    learned = padded(rows)
+    drive = ContextNetwork(learned, *DRIVE)
+    _fit(drive, learned, epochs, "training the drive", report, each)
 
     # States need a drive only: an untrained contact network takes its place.
-    rows = padded(
-        (one.finger.inputs, contact_columns(one.run, _exactly(one.run, one.own))) for one in pressed
-    )
-    contact = ContextNetwork(rows, *CONTACT)
+    columns = ((finger.inputs, contact_columns(run, own)) for run, finger, own in pressed)
+    contact = ContextNetwork(padded(columns), *CONTACT)
     fixed = {"response": response, **elastic.arrays()}
+
+    def visits() -> Iterator[tuple[Run, Finger, Seen]]:
+        maps = PopulationMaps({**arrays_of(drive, contact), **fixed})
+        for run, finger, own in coarse:
+            yield run, finger, visited(maps, run, finger, own.inside)
+
+    # With its own errors in the state the drive shall lead back to the full order.
+    rows += [(finger.inputs, drive_columns(run, seen)) for run, finger, seen in visits()]
+    _fit(drive, padded(rows), RETURNS, "training its way back", report, each, RETURNING_RATE)
+
     maps = PopulationMaps({**arrays_of(drive, contact), **fixed})
-
-    def contact_row(
-        run: Run, finger: Finger, inside: np.ndarray | bool = True, count: float = 1.0
-    ) -> tuple[np.ndarray, Columns]:
+    rows = [(finger.inputs, contact_columns(run, seen)) for run, finger, seen in visits()]
+    for run, finger in zip(refining, _fingers(elastic, refining, coarse=False)):
         seen = visited(maps, run, finger)
-        seen.inside &= inside
-        return finger.inputs, contact_columns(run, seen, count)
-
-    default = zip(refining, _fingers(elastic, refining, coarse=False))
-    rows = padded(
-        [
-            *(contact_row(one.run, one.finger, one.own.inside) for one in coarse),
-            *(contact_row(run, finger, count=REFINING_COUNT) for run, finger in default),
-        ]
-    )
-    contact = ContextNetwork(rows, *CONTACT)
-    _fit(contact, rows, epochs, "training the contact", report, each)
+        rows.append((finger.inputs, contact_columns(run, seen, REFINING_COUNT)))
+    learned = padded(rows)
+    contact = ContextNetwork(learned, *CONTACT)
+    _fit(contact, learned, epochs, "training the contact", report, each)
     return {**arrays_of(drive, contact), **fixed}
 
 
 def _fit(
-    network: ContextNetwork, rows: Rows, epochs: int, stage: str, report: Progress, each: Map
+    network: ContextNetwork,
+    rows: Rows,
+    epochs: int,
+    stage: str,
+    report: Progress,
+    each: Map,
+    rate: float = 1e-2,
 ) -> None:
     def tell(share: float) -> None:
         report(stage, share)
 
-    fit(network, rows, epochs, BATCH, decay=DECAY, report=tell, each=each)
+    fit(network, rows, epochs, BATCH, rate, decay=DECAY, report=tell, each=each)
 
 
 def _fingers(elastic: ElasticContacts, runs: list[Run], coarse: bool) -> list[Finger]:
@@ -360,22 +366,21 @@ def arrays_of(drive: ContextNetwork, contact: ContextNetwork) -> dict[str, np.nd
     return found
 
 
-def visited(maps: PopulationMaps, run: Run, finger: Finger) -> Visited:
-    """What the maps visit along a run of a finger."""
+def visited(
+    maps: PopulationMaps, run: Run, finger: Finger, inside: np.ndarray | None = None
+) -> Seen:
+    """What the maps visit along a run of a finger, of which rows `inside` (n,) count, or all."""
     record = maps.parameters_of(run.length, run.scale, run.fractions, run.times, finger)
     record["force_limit"] = np.inf
     state = maps.at_rest(record)
-    table = np.zeros((len(run.time), maps.latents + len(BETAS)))
+    states = np.zeros((len(run.time), maps.latents + len(BETAS)))
     before = run.time[0]
     for row, (time, force) in enumerate(zip(run.time, run.force)):
         rk.step(maps.networks, record, state, maps.work, time - before, force)
-        table[row] = *state["amplitudes"][0], *state["friction"][0]
+        states[row] = *state["amplitudes"][0], *state["friction"][0]
         before = time
-    end = 1 + 3 + maps.latents
-    found = np.empty((len(run.time), end + rk.MIX_INPUTS + maps.latents))
-    amplitudes = np.ascontiguousarray(table[:, : maps.latents])
-    rk.guesses(maps.networks, record, maps.work, load_measure_of(run), amplitudes, found)
-    return Visited(table, found[:, 1:end], found[:, end:], np.ones(len(run.time), bool))
+    inside = np.ones(len(states), bool) if inside is None else inside
+    return Seen.at(maps.networks, record, maps.work, run, states, inside)
 
 
 def measured_error(arrays: dict[str, np.ndarray], runs: list[Run]) -> dict[str, ErrorTable]:
