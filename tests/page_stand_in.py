@@ -149,8 +149,8 @@ class ForwardedPort:
 class StandIn:
     """A page server fed with presses of 3 s, one every 6 s, until `stop`.
 
-    `problems`, `tared`, `estimate` and the measured `area` (mm²; None: that of the presses) may be
-    changed; with `silent` nothing is sent.
+    `problems`, `tared`, `probe`, `estimate` and the measured `area` (mm²; None: that of the
+    presses) may be changed; with `silent` nothing is sent.
     """
 
     def __init__(self, port: int = 0, **settings: Any) -> None:
@@ -159,6 +159,7 @@ class StandIn:
         self.problems: list[Problem] = []
         self.gone: set[str] = set()
         self.tared = True
+        self.probe = ""
         self.estimate = {"known": True, "doubt": ""}
         self.area: float | None = None
         self.silent = False
@@ -247,7 +248,8 @@ class StandIn:
                 ages = {k: now - self._last[k] if k in self._last else None
                         for k in ("force", "area", "model")}  # fmt: skip
                 problems = [vars(problem) for problem in self.problems]
-                alive = {"time": now, "ages": ages, "tared": self.tared, "problems": problems}
+                alive = {"time": now, "ages": ages, "tared": self.tared, "problems": problems,
+                         "probe": self.probe}  # fmt: skip
                 self.server.publish("alive", alive)
             if step % 25 == 0:
                 self.server.publish("health", {"items": self.health})

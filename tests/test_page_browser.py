@@ -475,6 +475,68 @@ def test_a_reading_counts_once_however_often_enter_is_pressed(rig: StandIn, page
     assert [name for name, _ in rig.commands] == ["moisture", "marker"]
 
 
+def test_a_reading_that_does_not_count_is_seen(rig: StandIn, page: Any) -> None:
+    def comes(value: float) -> None:
+        rig.server.publish("moisture", {"value": value, "time": time.time()})
+
+    def newest() -> str:
+        return str(page.inner_text("#moisture-newest"))
+
+    prepare(rig, page)
+    assert not page.is_visible("#moisture-newest")
+    comes(42.0)
+    until(lambda: newest() == "42.0, does not count now", page)
+    assert page.evaluate(OVERFLOW) == []
+    rig.cue("moisture_before")
+    rig.status(**session("moisture_before", instruction="Hold the probe to the fingertip."))
+    page.wait_for_selector("#cue[data-look=moisture_before]")
+    comes(43.0)
+    until(lambda: newest() == "43.0", page)
+    rig.probe = "a line broke off in the middle"
+    until(lambda: "Probe: a line broke off in the middle." in page.inner_text("#cue-text"), page)
+    rig.status(**session("moisture_before", paused=True, instruction="Press Space to go on."))
+    page.wait_for_selector("#cue[data-look=paused]")
+    comes(44.0)
+    until(lambda: newest() == "44.0, does not count now", page)
+    assert "Probe" not in page.inner_text("#cue-text")
+    # A browser that comes later is told of the newest reading, which may be of an hour ago.
+    rig.server.publish("moisture", {"value": 45.0, "time": time.time() - 60.0})
+    page.reload()
+    page.wait_for_selector("#link.good")
+    until(lambda: page.inner_text("#force-value") != "–", page)
+    page.wait_for_timeout(500)
+    assert newest() == ""
+
+
+def test_no_zero_is_set_during_a_press(rig: StandIn, page: Any) -> None:
+    prepare(rig, page)
+    until(lambda: page.is_enabled("#tare"), page)
+    for step in ("press", "pull", "lift"):
+        rig.cue(step)
+        rig.status(**session(step))
+        until(lambda: page.is_disabled("#tare"), page)
+        rig.status(**session("moisture_after"))
+        until(lambda: page.is_enabled("#tare"), page)
+    rig.commands.clear()
+    rig.tared = False
+    rig.status(**session("press"))
+    press_key(page, "t")
+    until(lambda: "tare" in [name for name, _ in rig.commands], page)
+
+
+@pytest.mark.parametrize(("width", "height"), [(844, 390), (667, 375), (568, 320)])
+def test_on_a_phone_held_sideways_the_controls_are_beside_the_cue(
+    rig: StandIn, page: Any, width: int, height: int
+) -> None:
+    page.set_viewport_size({"width": width, "height": height})
+    prepare(rig, page)
+    page.wait_for_timeout(300)
+    assert page.evaluate(OVERFLOW) == []
+    for name in ("cue", "start", "tare", "end"):
+        box = page.locator(f"#{name}").bounding_box()
+        assert box["y"] >= 0 and box["y"] + box["height"] <= height, name
+
+
 def test_redo_asks_before_it_takes_a_kept_trial_back(rig: StandIn, page: Any) -> None:
     prepare(rig, page, attempt=0)
     rig.commands.clear()

@@ -358,7 +358,7 @@ def test_a_guided_session_with_a_fault_of_each_device(
         devices.show()
         operator.all_well()
         operator.trial(1)
-        assert re.search(r"×[2-9]", operator.row(1))
+        assert re.search(r"\([2-9]\sattempts\)", operator.row(1))
 
         # Trial 2: the camera falls silent before the press, which waits until it is back.
         waits = re.compile("camera|contact area")
@@ -412,8 +412,15 @@ def test_a_guided_session_with_a_fault_of_each_device(
 
         # Redo by the operator in the middle of the press.
         operator.reach(4, "press")
-        operator.press("r")
-        operator.until(lambda: "redone by the operator" in operator.row(4), "the reason")
+
+        def redone() -> bool:
+            # What the page has not shown yet is refused: the step may have just begun.
+            if operator.look in ("press", "lift", "moisture_after"):
+                operator.press("r")
+                page.wait_for_timeout(500)
+            return "redone by the operator" in operator.row(4)
+
+        operator.until(redone, "the reason")
         operator.trial(4)
 
         # Trial 5: recorder, vision and model are killed, one after the other.

@@ -8,6 +8,7 @@ import ast
 import contextlib
 import io
 import re
+import signal
 import sys
 from collections.abc import Iterator
 from functools import cache
@@ -60,6 +61,7 @@ def help_of(*words: str) -> str | None:
         around.enter_context(pytest.MonkeyPatch.context()).setattr(sys, "argv", [*words, "--help"])
         around.enter_context(contextlib.redirect_stdout(said))
         around.enter_context(contextlib.redirect_stderr(said))
+        around.callback(signal.signal, signal.SIGINT, signal.getsignal(signal.SIGINT))
         end = around.enter_context(pytest.raises(SystemExit))
         HELP[words[0]].load()()
     return said.getvalue() if end.value.code == 0 else None

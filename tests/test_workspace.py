@@ -220,6 +220,19 @@ def test_pip_installs_the_same_packages_of_the_suite_as_rosdep(
     assert required & set(LAYERS) == named & set(LAYERS)
 
 
+def test_every_executable_starts_under_guard_of_ctrl_c(project_root: Path) -> None:
+    found = 0
+    for package in LAYERS:
+        setup = configparser.ConfigParser()
+        setup.read(project_root / "src" / package / "setup.cfg")
+        commands = setup.get("options.entry_points", "console_scripts", fallback="")
+        for command in commands.split("\n")[1:]:
+            name, _, target = command.partition(" = ")
+            assert target.startswith(f"finger_common.entry:{package}."), name
+            found += 1
+    assert found > 15
+
+
 def test_versions_agree(project_root: Path) -> None:
     versions = set()
     for package in [*LAYERS, "finger_msgs"]:

@@ -31,7 +31,9 @@ def find_bags(paths: Iterable[str | Path]) -> list[Path]:
         if path.is_file() or (path / METADATA).is_file():
             found.append(path)
             continue
-        bags = _bags_within(path)
+        bags = _bags_within(path) or sorted(
+            path.glob("*.bag")
+        )  # ROS 1: opening them says what to do
         if not bags:
             raise InputError(f"{path}: no bag in this folder; give a bag or a folder of bags")
         found += bags
@@ -99,3 +101,8 @@ def file_order(path: Path) -> tuple[Any, ...]:
     stem = Path(path.name.removesuffix(".zstd")).stem
     split = _SPLIT.fullmatch(stem)
     return (split[1], int(split[2])) if split else (stem, -1)
+
+
+def number_of(file: Path) -> int:
+    """Number of a file of a bag, -1 where its name has none."""
+    return int(file_order(file)[1])

@@ -35,7 +35,7 @@ from finger_common.plugins import Plugins
 from .bag_files import find_bags, storage_of
 from .read_settings import ReadSettings, add_read_options, read_settings_from
 from .recorder import RecorderSettings
-from .replay import ReplaySettings, lateness_text
+from .replay import PlaySettings, lateness_text
 from .schema import full_name
 
 EXIT_CHECK_FAILS = 1
@@ -179,8 +179,7 @@ def _play(args: argparse.Namespace) -> int:
             topics = [t for t in named if t not in without]
         for topic in reader.info.topics if topics is None else topics:
             full_name(topic)
-        settings = settings_from(args, ReplaySettings)
-        lateness = play(reader, settings, topics, args.clock, args.wait, args.reliability)
+        lateness = play(reader, settings_from(args, PlaySettings), topics)
         problems, lost = reader.all_problems(), reader.lost
     print(lateness_text(lateness))
     return _report(problems, lost)
@@ -314,19 +313,9 @@ def parser() -> argparse.ArgumentParser:
         "finger-bag play bags/dry --rate 2 --clock --topics wrench contact_area",
     )
     show.add_argument("bag", metavar="BAG")
-    add_settings(show.add_argument_group("how it is played"), ReplaySettings)
-    show.add_argument("--clock", action="store_true", help="publish the bag's time on /clock")
+    add_settings(show.add_argument_group("how it is played"), PlaySettings)
     show.add_argument("--topics", nargs="+", metavar="TOPIC", help="play these topics only")
     show.add_argument("--exclude", nargs="+", metavar="TOPIC", help="leave out these topics")
-    show.add_argument(
-        "--wait", type=float, default=1.0, metavar="S", help="pause for subscribers to connect [s]"
-    )
-    show.add_argument(
-        "--reliability",
-        choices=("reliable", "best_effort"),
-        default="reliable",
-        help="QoS reliability of streams (default: reliable, which every reader hears)",
-    )
 
     record = command(
         "record",

@@ -542,7 +542,7 @@ class McapFile:
 
 
 _SIGNATURES = {
-    b"#ROSBAG": "a ROS 1 bag, not MCAP: convert it with 'rosbags-convert'",
+    b"#ROSBAG": "a ROS 1 bag, not MCAP: convert it with 'rosbags-convert --src FILE --dst NAME'",
     b"SQLite format 3": "a sqlite3 database, not MCAP: name it .db3",
     b"\x28\xb5\x2f\xfd": "zstd-compressed, not MCAP: unpack it, or name it .mcap.zstd",
     b"\x1f\x8b": "gzip-compressed, not MCAP: unpack it",

@@ -16,16 +16,19 @@ import contextlib
 import signal
 import sys
 import textwrap
+import threading
 import time
 from array import array
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import Any
 
 import rclpy
 from rclpy.duration import Duration
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
+from std_srvs.srv import Trigger
 
 from finger_common.cli import one_line, plain
 from finger_common.errors import InputError
@@ -37,7 +40,7 @@ from .definitions import type_hash
 from .pause_keys import pause_keys
 from .reader import BagReader
 from .recorder_node import message_class
-from .replay import Pause, ReplaySettings, replay
+from .replay import Pause, PlaySettings, replay
 
 CLOCK_TICK = 0.005
 """s between /clock messages: what a timer of a node in the bag's time may be late."""
@@ -66,19 +69,15 @@ def qos_of(text: str, reliability: str, depth: int = STREAM_DEPTH) -> QoSProfile
 
 def play(
     reader: BagReader,
-    settings: ReplaySettings,
+    settings: PlaySettings,
     topics: Sequence[str] | None = None,
-    clock: bool = False,
-    wait: float = 1.0,
-    reliability: str = "reliable",
 ) -> Collection[float]:
     """Publish a bag until its end, Ctrl-C or SIGTERM; gives how late (s) each message was.
 
-    The keys of `pause_keys` pause it.
+    The keys of `pause_keys` and the services of `_served` pause it.
 
-    wait: s to let subscribers find the publishers before the first message. Topics whose type is
-    not installed are left out with a line on standard error. Raises InputError when nothing can be
-    played.
+    topics: absolute names, None for all. Topics whose type is not installed are left out with a
+    line on standard error. Raises InputError when nothing can be played.
     """
     use_large_shared_memory()
     # rclpy's own handlers end the context at once, under the message being published.
@@ -86,8 +85,8 @@ def play(
     on_sigterm = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         node = rclpy.create_node("bag_player")
-        publishers = _publishers(node, reader, topics, reliability)
-        clock_publisher = node.create_publisher(Clock, "/clock", 10) if clock else None
+        publishers = _publishers(node, reader, topics, settings.reliability)
+        clock_publisher = node.create_publisher(Clock, "/clock", 10) if settings.clock else None
         message, published = Clock(), 0.0
 
         def publish_clock(bag_time_ns: int) -> None:
@@ -97,11 +96,11 @@ def play(
                 fill_time(message.clock, bag_time_ns)
                 clock_publisher.publish(message)
 
-        tick = CLOCK_TICK if clock else 0.05
+        tick = CLOCK_TICK if settings.clock else 0.05
         lateness = array("f")
-        time.sleep(wait)
+        time.sleep(settings.wait)
         pause = Pause()
-        with contextlib.suppress(KeyboardInterrupt), pause_keys(pause):
+        with contextlib.suppress(KeyboardInterrupt), pause_keys(pause), _served(node, pause):
             for item in replay(reader, settings, list(publishers), publish_clock, tick, pause):
                 publisher, expected = publishers[item.message.topic]
                 if item.message.type == expected:
@@ -117,6 +116,44 @@ def play(
         rclpy.try_shutdown()
 
 
+@contextlib.contextmanager
+def _served(node: Any, pause: Pause) -> Iterator[None]:
+    """Services that pause the replay, named as those of rosbag2's player, while this lasts; their
+    message is "paused" or "plays"."""
+
+    def serve(name: str, action: Callable[[], None]) -> None:
+        def answer(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            action()
+            response.success = True
+            response.message = "paused" if pause.on else "plays"
+            return response
+
+        node.create_service(Trigger, f"~/{name}", answer)
+
+    serve("pause", pause.hold)
+    serve("resume", pause.resume)
+    serve("toggle_paused", pause.toggle)
+    serve("is_paused", lambda: None)
+    serve("play_next", pause.step)
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    ended = threading.Event()
+
+    def spin() -> None:
+        while not ended.is_set():
+            executor.spin_once(timeout_sec=0.5)
+
+    thread = threading.Thread(target=spin, name="services")
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        executor.wake()
+        thread.join()
+        executor.shutdown()
+
+
 def _publishers(
     node: Any, reader: BagReader, topics: Sequence[str] | None, reliability: str
 ) -> dict[str, tuple[Any, str]]:
@@ -127,7 +164,10 @@ def _publishers(
         try:
             kind = message_class(topic.type)
             if not reader.decoder(name, topic.type).standard and type_hash(topic.type):
-                raise InputError(f"its definition of '{topic.type}' differs from the installed one")
+                raise InputError(
+                    f"its definition of '{topic.type}' differs from the installed one; install the "
+                    "version that recorded it, or use 'finger-bag process', which needs no ROS"
+                )
         except InputError as error:
             reason = one_line(error)
             print(f"finger-bag: topic '{plain(name)}' is not played: {reason}", file=sys.stderr)

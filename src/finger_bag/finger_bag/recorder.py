@@ -198,16 +198,17 @@ class Recorder:
         topics: Mapping[str, str] | None = None,
         attachments: Mapping[str, bytes] | None = None,
         definitions: Mapping[str, str] | None = None,
+        further: bool = False,
     ) -> Path:
         """Begin a bag. topics: absolute name → type. definitions: type → text, of types that this
-        package does not know.
+        package does not know. further: in a further file of the bag that is there (`BagWriter`).
 
         Raises InputError when a recording runs already or `path` cannot be used.
         """
         if self._thread is not None:
             raise InputError(f"recording into {self.path} runs already; stop it first")
         self._content = _Content(metadata, topics or {}, attachments or {}, definitions or {})
-        writer = self._open(Path(path), self.settings.minimum_free)
+        writer = self._open(Path(path), self.settings.minimum_free, further)
         self._lost, self._before, self._errors, self.parts = Counter(), Counter(), [], []
         self._begin(writer)
         return writer.path
@@ -234,7 +235,7 @@ class Recorder:
         self._begin(writer)
         return path
 
-    def _open(self, path: Path, needed: int) -> BagWriter:
+    def _open(self, path: Path, needed: int, further: bool = False) -> BagWriter:
         settings, content = self.settings, self._content
         try:
             parent = next(p for p in (path.absolute(), *path.absolute().parents) if p.exists())
@@ -252,6 +253,7 @@ class Recorder:
             path,
             content.metadata,
             in_place=True,
+            further=further,
             maximum_size=settings.maximum_size,
             maximum_duration=settings.maximum_duration,
             compression=settings.compression,

@@ -5,7 +5,8 @@
 
 Node around `recorder.Recorder`. Subscriptions exist from activation on, so that a recording
 misses nothing at its start; latched messages that came before are repeated at its head. `~/record`
-starts and stops.
+starts and stops. A recording that was broken off a moment ago, as by a crash, goes on in a further
+file of its bag, unless it was that of a guided trial.
 """
 
 from __future__ import annotations
@@ -96,6 +97,12 @@ _PATIENCE = 20.0
 """s of a recording after which it is told that nothing comes."""
 _LONGEST_DELAY = 60.0
 """s that a message waits at most between its arrival and being taken."""
+
+RESTART = 60.0
+"""s within which a recorder that was killed is started again: the next one goes on with its bag."""
+
+SLOW = 0.25
+"""Share of `queue_limit` that waits, from which on the disk is too slow."""
 
 POLL = 0.02
 """s between two polls; the middleware keeps messages and their time of arrival meanwhile."""
@@ -193,24 +200,18 @@ class RecorderNode(ManagedNode):
         self._pauses = Pauses(1.0, 3.0)
         self._next_attempt = self._last_attempt = self._next_reminder = 0.0
         self._marker = self._marker_here()
+        self._goes_on: dict[str, str] | None = None
+        """Metadata with which another recorder would go on with what this one records."""
         self.create_service(Record, "~/record", self._on_record)
 
     def activate(self) -> None:
         for topic in self._topics.values():
             self._subscribe(topic, self.values["qos_reliability"] == RELIABLE)
-        text = ""
-        if broken := self._marker.broken_off():
-            text = f"the recording into {broken} was broken off; 'finger-bag recover' completes it"
-            self.log_fault(self._health, "broken_off", f"NOT RECORDING: {text}", ERROR)
-        if self.values["record_at_start"]:
-            try:
-                path = self._start("", None)
-            except FingerError:
-                self._unsubscribe()
-                raise
-            if text:
-                text += f", another one runs into {path}"
-                self.log_fault(self._health, "interrupted", text, WARN)
+        try:
+            self._take_up()
+        except FingerError:
+            self._unsubscribe()
+            raise
         # Steady time: recording continues when simulated time stands still or jumps.
         self.create_steady_timer(POLL, self._poll)
         self.create_steady_timer(1.0, self._each_second)
@@ -218,6 +219,39 @@ class RecorderNode(ManagedNode):
     def deactivate(self) -> None:
         self._end_bag()
         self._unsubscribe()
+
+    def _take_up(self) -> None:
+        """Go on with a recording that was broken off a moment ago, or begin one where that is
+        wanted at the start; tell of one that is left as it is."""
+        broken, at_start = self._marker.broken_off(), self.values["record_at_start"]
+        text = "" if broken is None else f"the recording into {broken.bag} was broken off"
+        if broken is not None:
+            if broken.session is not None and broken.age < RESTART and self._may_be(broken.bag):
+                try:
+                    self._begin(broken.bag, broken.session, further=True)
+                except InputError as error:
+                    text += f", and cannot go on ({error})"
+                else:
+                    text += (
+                        "; it goes on in a further file there, and 'finger-bag recover' joins them"
+                    )
+                    self.log_fault(self._health, "interrupted", text, WARN)
+                    return
+            text += "; 'finger-bag recover' completes it"
+            if broken.session is None:  # whoever guides it must be able to go on
+                self.log_fault(self._health, "broken_off", f"{text}, its trial is repeated", WARN)
+            else:
+                self.log_fault(self._health, "broken_off", f"NOT RECORDING: {text}", ERROR)
+        if at_start:
+            path = self._start("", None)
+            if text:
+                text += f", another one runs into {path}"
+                self.log_fault(self._health, "interrupted", text, WARN)
+
+    def _may_be(self, bag: Path) -> bool:
+        """Whether a bag is the one that this node is to record at its start, if one is named."""
+        named = self.values["bag_name"] if self.values["record_at_start"] else ""
+        return not named or bag == (self._folder / Path(named).expanduser()).absolute()
 
     # Subscriptions ---------------------------------------------------------------------------
 
@@ -317,6 +351,7 @@ class RecorderNode(ManagedNode):
             self.log_fault(self._health, "lost", f"messages lost: {notes['lost']}", WARN)
         expected = recorder.recording and time.monotonic() - self._started > _PATIENCE
         for key, text in (
+            ("disk", self._behind()),
             ("force", self._without_force(recorder.counts)),
             ("nothing", self._nothing_came(recorder.counts) if expected else ""),
         ):
@@ -324,6 +359,16 @@ class RecorderNode(ManagedNode):
                 self.log_fault(self._health, key, text, WARN)
             else:
                 self._health.recovered(key)
+
+    def _behind(self) -> str:
+        """Sentence on a disk that is slower than what comes, or ""."""
+        waiting, limit = self._recorder.waiting, self.values["queue_limit"]
+        if waiting <= SLOW * limit:
+            return ""
+        return (
+            f"the disk is too slow: {waiting / 1e6:.0f} MB wait for it, beyond {limit / 1e6:.0f} "
+            "MB messages are lost; record to a faster disk, or fewer topics"
+        )
 
     def _without_force(self, counts: dict[str, int]) -> str:
         """Sentence on a wrench that did not come although contact states made of it did, or ""."""
@@ -442,7 +487,6 @@ class RecorderNode(ManagedNode):
         return response
 
     def _start(self, path: str, trial: Any) -> Path:
-        settings = self.settings(RecordingSettings)
         session = self.settings(SessionSettings).to_dict()
         if trial is not None:
             named = {k: getattr(trial, k) for k in ("session", "subject", "condition")}
@@ -450,9 +494,22 @@ class RecorderNode(ManagedNode):
             session.update({k: text for k, text in named.items() if text})
             if trial.target_force > 0:
                 session["target_force"] = f"{trial.target_force:g}"
-        folder = Path(settings.folder).expanduser()
-        given = path or settings.bag_name
-        target = folder / Path(given).expanduser() if given else self._free_name(folder, session)
+        given = path or self.values["bag_name"]
+        if given:
+            target = self._folder / Path(given).expanduser()
+        else:
+            target = self._free_name(self._folder, session)
+        # Whoever guides a session makes another attempt at a trial that was broken off.
+        return self._begin(target, session, guided=trial is not None and bool(trial.session))
+
+    def _begin(
+        self, target: Path, session: dict[str, str], guided: bool = False, further: bool = False
+    ) -> Path:
+        """Begin a bag, or a further file of one that was broken off.
+
+        guided: it is not gone on with where it is broken off.
+        """
+        settings = self.settings(RecordingSettings)
         attachments = {
             name: read_bytes(file, "file to attach") for name, file in _attached(settings).items()
         }
@@ -468,10 +525,16 @@ class RecorderNode(ManagedNode):
                 self._health.recovered(key)
             self._started = time.monotonic()
         started = self._recorder.start(
-            target, SessionMetadata.from_mapping(session), topics, attachments, self._definitions
+            target,
+            SessionMetadata.from_mapping(session),
+            topics,
+            attachments,
+            self._definitions,
+            further,
         )
         self._forget_broken_off()
         self._marker = self._marker_here()
+        self._goes_on = None if guided else session
         self._mark(started)
         self._put_latched()
         self._note_bag()
@@ -498,8 +561,12 @@ class RecorderNode(ManagedNode):
 
     def _marker_here(self) -> RecordingMarker:
         """Of this recorder, in the folder that it would record into now."""
-        folder = Path(self.values["folder"]).expanduser()
-        return RecordingMarker(folder, self._marker_name)
+        return RecordingMarker(self._folder, self._marker_name)
+
+    @property
+    def _folder(self) -> Path:
+        """Folder that bags without an absolute path go to now."""
+        return Path(self.values["folder"]).expanduser()
 
     @property
     def _marker_name(self) -> str:
@@ -509,7 +576,7 @@ class RecorderNode(ManagedNode):
     def _mark(self, bag: Path) -> None:
         """Note that a bag is being written, for the node after a crash of this one."""
         try:
-            self._marker.set(bag)
+            self._marker.set(bag, self._goes_on)
         except OSError as error:
             self.get_logger().warning(
                 f"the recording cannot be noted in 'folder' ({error}): after a crash of the "

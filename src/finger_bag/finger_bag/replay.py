@@ -30,14 +30,37 @@ LOOP_GAP_NS = 1_000_000
 """Time between the last message of one round and the first of the next."""
 
 
+LONGEST = 1e9
+"""s above which no time of a replay is (32 years)."""
+
+
 @dataclass(frozen=True)
 class ReplaySettings(Settings):
     """What of a bag is replayed, and how fast."""
 
     rate: float = setting(1.0, "Speed; 2 is twice as fast.", minimum=1e-3, maximum=1e6)
-    start: float = setting(0.0, "Time after the begin of the bag to start at.", "s", minimum=0.0)
-    duration: float = setting(0.0, "How much of the bag; 0: all.", "s", minimum=0.0)
+    start: float = setting(
+        0.0, "Time after the begin of the bag to start at.", "s", minimum=0.0, maximum=LONGEST
+    )
+    duration: float = setting(
+        0.0, "How much of the bag; 0: all.", "s", minimum=0.0, maximum=LONGEST
+    )
     loop: bool = setting(False, "Begin again at the end.")
+
+
+@dataclass(frozen=True)
+class PlaySettings(ReplaySettings):
+    """How it is published, too."""
+
+    clock: bool = setting(False, "Publish the bag's time on /clock.")
+    wait: float = setting(
+        1.0, "Pause for subscribers to connect.", "s", minimum=0.0, maximum=LONGEST
+    )
+    reliability: str = setting(
+        "reliable",
+        "QoS reliability of streams; every reader hears reliable ones.",
+        choices=("reliable", "best_effort"),
+    )
 
 
 class Pause:
@@ -51,6 +74,14 @@ class Pause:
     def toggle(self) -> None:
         """Pause, or go on as if no time had passed."""
         self.on = not self.on
+
+    def hold(self) -> None:
+        """Pause."""
+        self.on = True
+
+    def resume(self) -> None:
+        """Go on as if no time had passed."""
+        self.on = False
 
     def step(self) -> None:
         """Give the next message, and none after it."""

@@ -177,6 +177,11 @@ class Malformed:
     def add(self, topic: str, reason: object, count: int = 1) -> None:
         """Count messages of a topic; reason: text or error."""
         self.counts[topic] += count
+        if isinstance(reason, AttributeError):
+            reason = (
+                f"their definition in the bag has no field '{reason.name}'; name the topic and a "
+                "field that it has in a mapping file"
+            )
         self.reasons.setdefault(topic, str(reason))
 
     def problems(self) -> list[str]:

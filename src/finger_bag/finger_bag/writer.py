@@ -24,7 +24,7 @@ from finger_common.files import NO_ROOM, atomic_write, check_text, load_yaml
 from finger_common.folder_lock import take_lock
 from finger_common.stamps import NANOSECONDS, seconds
 
-from .bag_files import METADATA, data_files
+from .bag_files import METADATA, data_files, number_of
 from .definitions import decoder, definition_text, encode, fields_of, type_hash
 from .mcap_writer import McapWriter
 from .reader import BagMessage
@@ -145,7 +145,8 @@ class BagWriter:
     beginning, as a recording must be (what was flushed survives a kill). metadata: SessionMetadata
     or a mapping with its keys. namespace: put before relative topic names. maximum_size,
     maximum_duration: bytes of messages and seconds after which the next file of the bag is begun; 0
-    for never.
+    for never. further: go on with a bag that another writer left in place without closing it, in
+    further files; metadata.yaml is left to `recover`, as nobody knows what those before hold.
 
     Raises InputError when the folder exists or cannot be written. After a write that failed, as on
     a full disk, nothing more is written and every further call raises InputError again.
@@ -158,6 +159,7 @@ class BagWriter:
         *,
         namespace: str = NAMESPACE,
         in_place: bool = False,
+        further: bool = False,
         maximum_size: int = 0,
         maximum_duration: float = 0.0,
         chunk_size: int = CHUNK_SIZE,
@@ -188,7 +190,10 @@ class BagWriter:
             raise InputError(f"{path}: not a name for a bag; give the folder to write")
         for text in (name, *self.metadata, *self.metadata.values()):
             check_text(text, f"{str(path)!r}")
-        self._refuse_existing()
+        if not further:
+            self._refuse_existing()
+        self._further = further
+        in_place = in_place or further
         self._folder = self.path if in_place else self.path.with_name(f".{name}.partial")
         self._lock = -1
         try:
@@ -198,6 +203,8 @@ class BagWriter:
                 shutil.rmtree(self._folder)
             self._folder.mkdir(parents=True, exist_ok=True)
             self._lock_folder()
+            before = data_files(self._folder) if further else []
+            self._first = 1 + max((number_of(file) for file in before), default=-1)
             self._open_file()
         except OSError as error:
             raise self._failed(error) from error
@@ -242,7 +249,7 @@ class BagWriter:
     # Files -----------------------------------------------------------------------------------
 
     def _open_file(self) -> None:
-        name = f"{self.path.name}_{len(self._files)}.mcap"
+        name = f"{self.path.name}_{self._first + len(self._files)}.mcap"
         self._files.append(_File(name))
         self._stream = open(self._folder / name, "wb")
         self._mcap = McapWriter(self._stream, self._chunk_size, self._compression)
@@ -514,7 +521,8 @@ class BagWriter:
             return
         try:
             self._close_file()
-            self._write_metadata()
+            if not self._further:
+                self._write_metadata()
         except OSError as error:
             raise self._failed(error) from error
         self._finished = True

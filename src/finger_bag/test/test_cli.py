@@ -385,3 +385,17 @@ def test_a_table_is_not_written_over_the_bag_or_another_table(
         assert run(command, ["process", str(path), "-o", out, *more]) == 2
     assert "lies in the output" in capsys.readouterr().err
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+@pytest.mark.parametrize(
+    "option",
+    ["--rate=0", "--rate=1e300", "--start=-1", "--start=1e300", "--duration=1e300"]
+    + [f"--wait={value}" for value in ("-1", "nan", "1e300")],
+)
+def test_impossible_times_of_a_replay_are_refused(
+    session: Callable[..., Path], capsys: pytest.CaptureFixture[str], option: str
+) -> None:
+    pytest.importorskip("rclpy")
+    assert run(command, ["play", str(session(trials=1)), option]) == 2
+    said = capsys.readouterr().err
+    assert option.split("=")[0].lstrip("-") in said and said.count("\n") == 1

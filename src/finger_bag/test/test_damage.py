@@ -25,6 +25,7 @@ import yaml
 from recorded_messages import read_all
 from session_bags import START, wrench, write_session
 
+from finger_bag.bag_files import find_bags
 from finger_bag.cli import command
 from finger_bag.copying import anonymise, recover
 from finger_bag.mcap_file import McapFile
@@ -341,6 +342,14 @@ def test_messages_far_out_of_order_stay_bounded(
         assert any("out of order" in p for p in reader.all_problems())
 
 
+def test_a_folder_of_ros_1_bags_is_refused_with_the_remedy(tmp_path: Path) -> None:
+    (tmp_path / "press.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(100))
+    for path in (tmp_path, tmp_path / "press.bag"):
+        with pytest.raises(InputError, match=r"ROS 1 bag.*rosbags-convert --src"):
+            for bag in find_bags([path]):
+                open_bag(bag)
+
+
 def test_malformed_messages_are_left_out_and_counted(tmp_path: Path) -> None:
     path = tmp_path / "bag"
     with BagWriter(path) as bag:
@@ -372,14 +381,14 @@ def test_impossible_times_are_left_out(tmp_path: Path) -> None:
 def test_png_that_claims_gigapixels_is_not_decoded() -> None:
     from types import SimpleNamespace
 
-    from finger_offline.image_areas import image_in
+    from finger_vision.messages import image_of
 
     size = (1 << 20).to_bytes(4, "big")
     data = b"\x89PNG\r\n\x1a\n" + b"\x00\x00\x00\rIHDR" + size * 2 + b"\x08\x00\x00\x00\x00" * 9
     with pytest.raises(InputError, match="1048576 x 1048576"):
-        image_in(SimpleNamespace(format="mono8; png compressed ", data=data))
+        image_of(SimpleNamespace(format="mono8; png compressed ", data=data))
     with pytest.raises(InputError, match="can be decoded"):
-        image_in(SimpleNamespace(format="jpeg", data=b"nothing"))
+        image_of(SimpleNamespace(format="jpeg", data=b"nothing"))
 
 
 @pytest.mark.parametrize(

@@ -10,12 +10,14 @@ import os
 import shutil
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from recorded_messages import serialized
 
@@ -415,16 +417,71 @@ def test_a_bag_is_closed_although_its_last_messages_cannot_be_taken(
 
 
 KILLED = """
-import os, signal, sys
+import os, signal, sys, time
 import rclpy
 from rclpy.parameter import Parameter
+from finger_bag.definitions import encode
 from finger_bag.recorder_node import RecorderNode
+from finger_msgs.msg import Trial
 rclpy.init()
 node = RecorderNode(parameter_overrides=[Parameter("folder", value=sys.argv[1])])
 assert node.bring_up()
-node._start("trial", None)
+node._start("trial", Trial(session=sys.argv[2], subject="S01"))
+raw = encode("geometry_msgs/msg/WrenchStamped", {})
+for number in range(100):
+    node._take(node._topics["/wrench"], raw, {})
+while node._recorder.counts.get("/wrench", 0) < 100:
+    time.sleep(0.01)
+node._recorder._writer.flush()
 os.kill(os.getpid(), signal.SIGKILL)
 """
+
+
+def kill_recorder(folder: Path, domain: int, session: str = "") -> Path:
+    """The bag of a recorder that was killed after 100 wrenches. session: of a guided trial."""
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
+    call = [sys.executable, "-c", KILLED, str(folder), session]
+    subprocess.run(call, env=environment, timeout=120)
+    return folder / "trial"
+
+
+@pytest.mark.parametrize("at_start", [False, True])
+def test_a_recording_that_a_kill_broke_off_goes_on_in_the_same_bag(
+    ros_domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at_start: bool
+) -> None:
+    bag = kill_recorder(tmp_path, ros_domain)
+    raw = encode("geometry_msgs/msg/WrenchStamped", {})
+    named = {"bag_name": "trial"} if at_start else {}
+    given = {"folder": str(tmp_path), "record_at_start": at_start, **named}
+    for number in (1, 2):  # also after a second crash
+        with running_node(ros_domain, tmp_path, monkeypatch, **given) as node:
+            assert node._recorder.path == bag
+            report = node.healths[0].report()
+            assert report.level == 1 and "goes on in a further file" in report.message
+            for _ in range(100):
+                node._take(node._topics["/wrench"], raw, {})
+            assert node._finish().counts["/wrench"] == 100
+            node._mark(bag)  # as if it had not been closed
+        files = [f"trial_{n}.mcap" for n in range(number + 1)]
+        assert sorted(p.name for p in bag.iterdir()) == files
+        with open_bag(bag) as reader:
+            times = [m.log_time_ns for m in reader.messages("/wrench")]
+            assert len(times) == 100 * (number + 1) and times == sorted(times)
+            assert reader.info.metadata.subject == "S01" and not reader.lost
+    recover(bag, tmp_path / "whole")
+    with open_bag(tmp_path / "whole") as reader:
+        assert reader.info.complete and reader.info.topics["/wrench"].count == 300
+        assert reader.all_problems() == []
+
+
+def test_another_bag_that_is_wanted_is_not_put_into_a_broken_one(
+    ros_domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bag = kill_recorder(tmp_path, ros_domain)
+    given = {"folder": str(tmp_path), "bag_name": "other"}
+    with running_node(ros_domain, tmp_path, monkeypatch, **given) as node:
+        assert node._recorder.path == tmp_path / "other"
+        assert f"into {bag} was broken off" in node.healths[0].report().message
 
 
 def test_a_recording_that_a_kill_broke_off_is_told_until_the_next_one(
@@ -435,10 +492,10 @@ def test_a_recording_that_a_kill_broke_off_is_told_until_the_next_one(
         return report.level, report.message
 
     def kill(name: str) -> Path:
-        place = tmp_path / name
-        environment = {**os.environ, "ROS_DOMAIN_ID": str(ros_domain)}
-        subprocess.run([sys.executable, "-c", KILLED, str(place)], env=environment, timeout=120)
-        return place
+        kill_recorder(tmp_path / name, ros_domain, session="one" if name == "guided" else "")
+        for file in (tmp_path / name / "trial").iterdir():  # long ago
+            os.utime(file, (0, 0) if name != "guided" else None)
+        return tmp_path / name
 
     def recorder(folder: Path, **parameters: Any) -> Any:
         given = {"folder": str(folder), "record_at_start": False, **parameters}
@@ -459,6 +516,14 @@ def test_a_recording_that_a_kill_broke_off_is_told_until_the_next_one(
         assert node._finish().error == ""
     with recorder(folder) as node:
         assert state()[0] == 0
+    # Each attempt at a guided trial has its own bag, and the next one must be possible.
+    folder = kill("guided")
+    with recorder(folder) as node:
+        level, text = state()
+        assert level == 1 and "broken off" in text and "its trial is repeated" in text
+        node._start("next", None)
+        assert state()[0] == 0
+        assert node._finish().error == ""
     # One that begins by itself again says which bag to look after.
     folder = kill("again")
     with recorder(folder, record_at_start=True) as node:
@@ -690,6 +755,37 @@ def test_states_recorded_without_their_force_are_told_until_it_comes(
             node._take(node._topics[topic], raw, {})
         wait_for(lambda: sum(node._recorder.counts.values()) == 2, "both")
         assert not said()
+
+
+def test_a_disk_that_is_too_slow_is_told_before_messages_are_lost(
+    ros_domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from finger_bag.writer import BagWriter
+
+    held = threading.Event()
+    write = BagWriter.write_raw
+
+    def slowly(self: BagWriter, *arguments: Any, **options: Any) -> None:
+        held.wait(60)
+        write(self, *arguments, **options)
+
+    monkeypatch.setattr(BagWriter, "write_raw", slowly)
+    image = encode("sensor_msgs/msg/Image", {"data": np.zeros(200_000, np.uint8)})
+
+    def said() -> str:
+        node._each_second()
+        return str(node.healths[0].faults.get("disk", ""))
+
+    with running_node(ros_domain, tmp_path, monkeypatch, queue_limit=1 << 20) as node:
+        node._take(node._topics["/image_raw"], image, {})
+        assert not said()
+        for _ in range(3):
+            node._take(node._topics["/image_raw"], image, {})
+        assert "too slow: 1 MB wait" in said() and not node._recorder.lost
+        assert node.healths[0].report().level == 1
+        held.set()
+        wait_for(lambda: not said(), "the end of the warning")
+        assert node._finish().lost_count == 0
 
 
 def test_a_recording_to_which_nothing_comes_names_where_there_are_streams(

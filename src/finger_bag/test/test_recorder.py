@@ -82,7 +82,7 @@ def test_a_message_that_is_not_cdr_is_counted_as_lost(tmp_path: Path) -> None:
 
 
 def test_images_are_stored_as_png_without_loss(tmp_path: Path) -> None:
-    from finger_offline.image_areas import image_in
+    from finger_vision.messages import image_of
 
     recorder = Recorder(RecorderSettings(png=True))
     recorder.start(tmp_path / "bag")
@@ -96,7 +96,7 @@ def test_images_are_stored_as_png_without_loss(tmp_path: Path) -> None:
         png, raw = sorted(reader.messages(), key=lambda m: m.topic, reverse=True)
         assert png.topic == "/finger/image_raw/compressed" and "png" in png.message.format
         assert png.message.header.frame_id == "camera"
-        assert np.array_equal(image_in(png.message), pixels)
+        assert np.array_equal(image_of(png.message), pixels)
         # What is not mono8 is kept as it came.
         assert raw.topic == "/finger/image_raw" and raw.message.encoding == "bgr8"
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 import time
@@ -14,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from service_calls import call
 from session_bags import START, wrench
 
 from finger_bag.cli import parser
@@ -291,6 +293,51 @@ def test_model_node_in_the_time_of_the_bag_estimates_as_offline(
         assert state.header.stamp.nanosec == offline.header.stamp.nanosec
         assert (state.area, state.flags) == (offline.area, offline.flags)
         assert state.indentation == offline.indentation
+
+
+def test_services_pause_a_replay(short: Path, ros_domain: int, process: Any) -> None:
+    pytest.importorskip("rclpy")
+    import rclpy
+    from geometry_msgs.msg import WrenchStamped
+    from std_srvs.srv import Trigger
+
+    player = process("-m", "finger_bag.cli", "play", str(short), "--loop")
+    received: list[Any] = []
+    rclpy.init(domain_id=ros_domain)
+    node = rclpy.create_node("observer")
+
+    def until(condition: Callable[[], Any]) -> None:
+        end = time.monotonic() + 60
+        while not condition():
+            assert time.monotonic() < end and player.poll() is None
+            rclpy.spin_once(node, timeout_sec=0.05)
+
+    def ask(service: str) -> str:
+        return str(call(node, Trigger, f"/bag_player/{service}", Trigger.Request(), until).message)
+
+    def come() -> int:
+        """How many messages came, once none has come for 0.5 s."""
+        since = time.monotonic()
+        while time.monotonic() - since < 0.5:
+            before = len(received)
+            rclpy.spin_once(node, timeout_sec=0.05)
+            since = time.monotonic() if len(received) > before else since
+        return len(received)
+
+    try:
+        node.create_subscription(WrenchStamped, "/finger/wrench", received.append, 1000)
+        until(lambda: len(received) > 10)
+        assert (ask("is_paused"), ask("pause"), ask("is_paused")) == ("plays", "paused", "paused")
+        paused = come()
+        assert ask("play_next") == "paused" and come() == paused + 1
+        assert ask("toggle_paused") == "plays"
+        until(lambda: len(received) > paused + 10)
+        assert (ask("toggle_paused"), ask("resume")) == ("paused", "plays")
+        player.send_signal(signal.SIGINT)
+        assert player.wait(20) == 0 and "late by" in player.output.read_text()
+    finally:
+        node.destroy_node()
+        rclpy.shutdown()
 
 
 ENDED = """

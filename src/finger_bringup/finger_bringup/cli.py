@@ -390,8 +390,9 @@ def run_until_interrupted(supervisor: Supervisor) -> bool:
         interrupted = True
         print("finger-rig: ending all nodes", flush=True)
     finally:
-        # A second Ctrl-C must not leave processes behind.
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        # A second signal must not leave processes behind.
+        for number in handlers:
+            signal.signal(number, signal.SIG_IGN)
         supervisor.stop()
         for number, handler in handlers.items():
             signal.signal(number, handler)

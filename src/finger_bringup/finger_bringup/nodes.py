@@ -13,13 +13,13 @@ node (`launch.actions`); entries that are composed become one command.
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from finger_common.axes import DEFAULT_NORMAL_AXIS
+from finger_common.entry import command_of
 from finger_common.errors import InputError, known_names, nearest
 from finger_common.namespaces import DEFAULT_NAMESPACE, check_namespace, own_name
 from finger_common.subject_code import FINGERS
@@ -308,7 +308,7 @@ def simulated_boards(fingers: Iterable[str]) -> tuple[list[ProcessSpec], dict[st
     for finger in fingers:
         bus = RigAddresses.private(Path())
         options = f"port={bus.can_port}"
-        command = [sys.executable, "-m", "finger_driver.simulators.cli", "netcanoem"]
+        command = [*command_of("finger_driver.simulators.cli"), "netcanoem"]
         command += ["--press", "1.35", f"--axis={DEFAULT_NORMAL_AXIS}"]
         command += ["--channel", bus.can_channel, "--options", options]
         specs.append(ProcessSpec(f"{finger}/board", tuple(command)))
@@ -423,7 +423,7 @@ def process_specs(
         ProcessSpec(
             entry.path,
             (
-                *(sys.executable, "-m", entry.module, "--ros-args"),
+                *(*command_of(entry.module), "--ros-args"),
                 *("-r", f"__ns:={entry.namespace(namespace)}", *arguments),
             ),
             rank=entry.rank,
@@ -435,7 +435,7 @@ def process_specs(
     ]
     if together:
         members = composed_arguments(together, namespace, realtime)
-        command = (sys.executable, "-m", COMPOSED.module, *members, "--ros-args", *arguments)
+        command = (*command_of(COMPOSED.module), *members, "--ros-args", *arguments)
         specs.append(ProcessSpec(COMPOSED.name, command, COMPOSED.rank))
     return specs
 

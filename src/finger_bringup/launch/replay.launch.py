@@ -6,7 +6,6 @@
 ros2 launch finger_bringup replay.launch.py bag:=bags/natural rate:=1.0
 """
 
-import sys
 import tempfile
 from pathlib import Path
 
@@ -27,6 +26,7 @@ from finger_bringup import nodes
 from finger_bringup.bring_up import ALL_ACTIVE
 from finger_bringup.launch.actions import arguments, node_actions, truth, value
 from finger_bringup.replay import replay_of
+from finger_common.entry import command_of
 from finger_common.errors import InputError
 
 
@@ -36,7 +36,7 @@ def replay(context: LaunchContext) -> list[Action]:
     if not value(context, "bag") or not bag.exists():
         raise InputError(f"bag:={bag}: no such bag; give the folder or file of a recorded bag")
     chosen = replay_of(bag, truth(context, "vision") if value(context, "vision") else None)
-    command = [sys.executable, "-m", "finger_bag.cli", "play", str(bag), "--clock"]
+    command = [*command_of("finger_bag.cli"), "play", str(bag), "--clock"]
     command += ["--rate", value(context, "rate"), "--topics", *chosen.topics]
     if truth(context, "loop"):
         command.append("--loop")
@@ -44,11 +44,12 @@ def replay(context: LaunchContext) -> list[Action]:
         cmd=command, name="player", output="screen", additional_env={"PYTHONUNBUFFERED": "1"}
     )
     entries = [entry.with_parameters(use_sim_time=True) for entry in nodes.select(chosen.nodes)]
+    vision = {"image_transport": chosen.image_transport}
     if chosen.calibration is not None:
         file = Path(tempfile.mkdtemp(prefix="finger_launch_")) / "plate_calibration.yaml"
         file.write_bytes(chosen.calibration)
-        own = {"vision": {"calibration_file": str(file)}}
-        entries = [entry.with_defaults(**own.get(entry.name, {})) for entry in entries]
+        vision["calibration_file"] = str(file)
+    entries = [e.with_defaults(**vision) if e.name == "vision" else e for e in entries]
     waiting: list[Action] = [player]
     ends = truth(context, "end")
 
@@ -75,7 +76,7 @@ def generate_launch_description() -> LaunchDescription:
         loop=("false", "Begin again at the end."),
         vision=(
             "",
-            "Measure areas in the bag's raw images; false uses the recorded areas. Empty: true for "
+            "Measure areas in the bag's images; false uses the recorded areas. Empty: true for "
             "a bag that holds raw images.",
         ),
         end=("true", "End everything when the bag is played."),

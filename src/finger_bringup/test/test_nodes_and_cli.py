@@ -32,7 +32,7 @@ def test_every_entry_is_an_executable_of_its_package(
 ) -> None:
     assert importlib.util.find_spec(entry.module) is not None
     setup = (project_root / "src" / entry.package / "setup.cfg").read_text()
-    assert f"    {entry.executable} = {entry.module}:main\n" in setup
+    assert f"    {entry.executable} = finger_common.entry:{entry.module}.main\n" in setup
 
 
 def test_devices_come_up_before_the_nodes_that_need_them() -> None:
@@ -374,18 +374,23 @@ def test_a_replay_has_areas_whatever_the_images_of_the_bag(
 ) -> None:
     natural = project_root / "bags" / "natural"
     shown = replay_of(natural)
-    # Its images are compressed, and the vision node reads raw ones: its areas are replayed.
+    # Its images are compressed ones of some trials: its areas are replayed, unless asked for.
     assert shown.nodes == ("model",) and "/finger/contact_area" in shown.topics
     assert not {"/finger/contact_state", "/diagnostics"} & set(shown.topics)
-    with pytest.raises(InputError, match="holds no raw images"):
-        replay_of(natural, vision=True)
+    again = replay_of(natural, vision=True)
+    assert (again.nodes, again.image_transport) == (("vision", "model"), "compressed")
+    assert "/finger/contact_area" not in again.topics and again.calibration
+    with BagWriter(tmp_path / "none") as bag:
+        bag.write("contact_area", {"header": {"stamp": 10**18}})
+    with pytest.raises(InputError, match="holds no images"):
+        replay_of(tmp_path / "none", vision=True)
     with BagWriter(tmp_path / "raw") as bag:
         bag.attach("plate_calibration.yaml", b"a: 1")
         for topic in ("image_raw", "contact_area"):
             bag.write(topic, {"header": {"stamp": 10**18}})
     measured = replay_of(tmp_path / "raw")
     assert measured.nodes == ("vision", "model") and measured.topics == ("/finger/image_raw",)
-    assert measured.calibration == b"a: 1"
+    assert measured.calibration == b"a: 1" and measured.image_transport == "raw"
     assert replay_of(tmp_path / "raw", vision=False).nodes == ("model",)
 
 

@@ -13,6 +13,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from finger_bringup.cli import run_until_interrupted
 from finger_bringup.supervisor import ProcessSpec, Supervisor
 
@@ -201,6 +203,29 @@ def test_who_ran_a_supervisor_to_its_end_still_has_its_signal_handlers() -> None
             thread.start()
         assert run_until_interrupted(supervisor) == interrupted
         assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
+
+
+@pytest.mark.parametrize("second", [signal.SIGINT, signal.SIGTERM])
+def test_a_second_signal_does_not_cut_the_end_of_the_processes_short(
+    second: signal.Signals,
+) -> None:
+    code = "import time\ntry:\n    print('alive', flush=True)\n    time.sleep(60)\n"
+    code += "except KeyboardInterrupt:\n    print('ends', flush=True)\n    time.sleep(0.5)\n"
+    code += "    print('done', flush=True)"
+    log = Log()
+    supervisor = Supervisor([ProcessSpec("node", python(code))], line=log)
+
+    def end() -> None:
+        log.wait_for("alive")
+        os.kill(os.getpid(), signal.SIGINT)
+        log.wait_for("ends")
+        os.kill(os.getpid(), second)
+
+    thread = threading.Thread(target=end)
+    thread.start()
+    assert run_until_interrupted(supervisor)
+    thread.join()
+    assert ("node", "done") in log.lines
 
 
 def test_what_cannot_begin_is_not_started_again_and_ends_all_when_nothing_is_left() -> None:

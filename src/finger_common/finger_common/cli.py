@@ -21,6 +21,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, NoReturn
 
+from .entry import EXIT_INTERRUPTED as EXIT_INTERRUPTED
 from .errors import FingerError, nearest
 from .settings import S, Settings
 
@@ -28,7 +29,6 @@ EXIT_LOST = 1
 """Something that a bag holds could not be read; the rest was."""
 
 EXIT_BAD_INPUT = 2
-EXIT_INTERRUPTED = 130
 
 _OUTSIDE = {
     errno.ENAMETOOLONG,

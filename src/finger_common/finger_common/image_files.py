@@ -28,5 +28,8 @@ def decode_image(
     except cv2.error:
         image = None
     if image is None:
-        raise InputError(f"{where}: not an image that can be decoded; give PNG, TIFF, JPEG or BMP")
+        raise InputError(
+            f"{where}: broken, or of a kind that cannot be decoded; give a whole PNG, TIFF, JPEG "
+            "or BMP"
+        )
     return in_full_range(image, content.data)

@@ -15,8 +15,7 @@ from finger_common.errors import InputError
 from finger_common.image_size import PixelBudget
 from finger_common.mono8 import as_mono8
 from finger_common.stamps import header_stamp, seconds
-
-from .image_areas import image_in
+from finger_vision.messages import image_of
 
 
 def images_of_bag(path: Path, topic: str, every: float) -> Iterator[tuple[str, np.ndarray]]:
@@ -36,7 +35,7 @@ def images_of_bag(path: Path, topic: str, every: float) -> Iterator[tuple[str, n
             last = stamp
             if pixels.spent:
                 raise InputError(f"{path}: more pixels than its bytes can hold; give --every")
-            image = as_mono8(image_in(item.message))
+            image = as_mono8(image_of(item.message))
             pixels.take(image.size)
             yield f"{path} at {seconds(stamp):.3f} s", image
         if reader.lost:

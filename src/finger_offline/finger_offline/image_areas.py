@@ -17,7 +17,6 @@ from finger_bag.definitions import typestore
 from finger_bag.reader import BagMessage, BagReader
 from finger_bag.streams import AREA
 from finger_common.errors import FingerError, InputError
-from finger_common.image_files import decode_image
 from finger_common.image_size import PixelBudget
 from finger_vision.area_sensor import AreaSensor, ContactMeasurement
 from finger_vision.camera_stream import CameraStream, LeftOut
@@ -28,18 +27,6 @@ from .image_settings import ImageSettings
 
 IMAGES_AHEAD = 6
 """Images that may wait to be measured."""
-
-
-def image_in(message: Any) -> np.ndarray:
-    """Image (H, W) or (H, W, channels) of a sensor_msgs Image or CompressedImage, uint8, uint16 or
-    float32.
-
-    Raises InputError when it cannot be used.
-    """
-    if not hasattr(message, "format"):
-        return image_of(message)
-    where = f"compressed image ('{message.format[:40]}')"
-    return decode_image(bytes(message.data), where, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH)
 
 
 class ImageAreas:
@@ -84,7 +71,7 @@ class ImageAreas:
             raise InputError("more pixels than a bag of this size can hold; not measured")
         if stamp is not None:
             self._stream.order.check(stamp)
-        image = image_in(message)
+        image = image_of(message)
         self._pixels.take(image.shape[0] * image.shape[1])
         return self._stream.measure(self._stream.signal(image))
 

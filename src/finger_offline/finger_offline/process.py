@@ -317,7 +317,9 @@ class _Run:
             counters,
             problems,
             self._unknown_settings() + self.validity.notes(),
-            self.reader.lost or (self.images is not None and self.images.areas.left_out > 0),
+            self.reader.lost
+            or bool(self.malformed.counts)
+            or (self.images is not None and self.images.areas.left_out > 0),
         )
 
     def _unknown_settings(self) -> list[str]:

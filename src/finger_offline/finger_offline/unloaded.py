@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -135,9 +136,10 @@ def unloaded_tare(
 
 
 def reached_force(peak: float, tare: Tare | None) -> float:
-    """Target force (N) that a press to a peak (N) as recorded reaches, whether or not a fit takes
-    its tare off."""
-    return PART_OF_PEAK * (peak - (max(tare.force, 0.0) if tare is not None else 0.0))
+    """Target force (N, rounded down to 0.01 N) that a press to a peak (N) as recorded reaches,
+    whether or not a fit takes its tare off."""
+    reached = PART_OF_PEAK * (peak - (max(tare.force, 0.0) if tare is not None else 0.0))
+    return math.floor(reached * 100) / 100
 
 
 def without_spikes(force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from session_bags import START, wrench
 
 from finger_bag.cli import command
-from finger_bag.definitions import definition_text, encode
+from finger_bag.definitions import decoder, definition_text, encode, own_definition
 from finger_bag.mapping import TopicMapping
 from finger_bag.read_settings import ReadSettings
 from finger_bag.reader import open_bag
@@ -251,9 +252,9 @@ def test_processing_again_is_the_same_for_any_blocks(
 def test_areas_from_images_are_those_of_the_segmenter(
     session: Callable[..., Path], tmp_path: Path
 ) -> None:
-    from finger_offline.image_areas import image_in
     from finger_vision.calibration import PlateCalibration
     from finger_vision.ftir import FtirSegmenter
+    from finger_vision.messages import image_of
 
     path = session(trials=1, images=True)
     with pytest.raises(InputError, match=r"plate_calibration.yaml.*--area-per-pixel"):
@@ -265,7 +266,7 @@ def test_areas_from_images_are_those_of_the_segmenter(
     segmenter = FtirSegmenter(calibration=PlateCalibration.from_area_per_pixel(0.04e-6))
     with open_bag(path) as source, open_bag(tmp_path / "out") as made:
         expected = [
-            segmenter.process(image_in(m.message)) for m in source.messages(["/finger/image_raw"])
+            segmenter.process(image_of(m.message)) for m in source.messages(["/finger/image_raw"])
         ]
         found = [m.message for m in made.messages(["/finger/contact_area"])]
     assert [a.gross_area for a in found] == [e.gross_area for e in expected]
@@ -369,6 +370,56 @@ def test_a_wrench_of_another_definition_is_read_by_its_own(tmp_path: Path) -> No
     with open_bag(tmp_path / "out") as reader:
         states = [m.message for m in reader.messages(["/finger/contact_state"])]
     assert {state.header.frame_id for state in states} == {"force_sensor"}
+
+
+AREA = "finger_msgs/msg/ContactArea"
+
+
+def defined_otherwise(change: Callable[[list[str]], list[str]], path: Path) -> Path:
+    """A bag of a press and of ten areas of 60 mm², with the fields of their type changed."""
+    known = own_definition(AREA) or ""
+    lines = [
+        line for line in known.splitlines() if line[:1].islower() and "uint32 FLAG" not in line
+    ]
+    types = get_typestore(Stores.ROS2_JAZZY)
+    types.register(get_types_from_msg("\n".join(change(lines)), AREA))
+    with BagWriter(path) as bag:
+        bag.add_topic("contact_area", definition=types.generate_msgdef(AREA, ros_version=2)[0])
+        for i in range(500):
+            stamp = START + i * 2_000_000
+            bag.write("wrench", wrench(stamp, min(0.01 * i, 1.0)))
+            if i % 50 == 25:
+                fields = {"header": {"stamp": stamp}, "gross_area": 60e-6, "area_stddev": 2e-6}
+                message = decoder(AREA)(encode(AREA, fields))
+                names = [name for name, _ in types.fielddefs[AREA][1]]
+                values = {"area": 60e-6, "warmth": 36.6, **vars(message)}
+                other = types.types[AREA](**{name: values[name] for name in names})
+                bag.write_raw("contact_area", bytes(types.serialize_cdr(other, AREA)), stamp)
+    return path
+
+
+def test_areas_whose_fields_have_another_order_and_new_ones_are_used(tmp_path: Path) -> None:
+    found = []
+    for number, change in enumerate((list, lambda lines: ["float32 warmth", *reversed(lines)])):
+        blocks: list[EstimateBlock] = []
+        bag = defined_otherwise(change, tmp_path / f"{number}")
+        assert process(bag, None, on_block=blocks.append).problems == []
+        found.append(column(blocks, "area"))
+    np.testing.assert_array_equal(*found)
+
+
+def test_areas_without_a_needed_field_are_told_and_the_remedy_helps(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = defined_otherwise(
+        lambda lines: [line.replace("gross_area", "area") for line in lines], tmp_path / "bag"
+    )
+    assert run(command, ["process", str(bag), "-o", str(tmp_path / "out")]) == 1
+    said = capsys.readouterr().err
+    assert "definition in the bag has no field 'gross_area'" in said and "mapping file" in said
+    mapping = TopicMapping.from_mapping({"topics": {"contact_area": {"field": "area"}}})
+    again = process(bag, None, ProcessOptions(mapping=mapping))
+    assert again.areas == 10 and not again.lost
 
 
 def test_torque_of_a_unit_that_is_not_told_is_left_out(tmp_path: Path) -> None:

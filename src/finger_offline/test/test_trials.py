@@ -31,13 +31,13 @@ from finger_common.errors import InputError
 from finger_common.mono8 import as_mono8
 from finger_common.trial_phases import TrialPhase
 from finger_common.units import FORCE_UNITS
-from finger_offline.image_areas import image_in
 from finger_offline.lag import force_image_lag
 from finger_offline.process import process
 from finger_offline.process_options import ProcessOptions
 from finger_offline.trial_split import TrialSettings
 from finger_offline.trials import load_trials, streams_with_areas
 from finger_offline.unloaded import moved_plate
+from finger_vision.messages import image_of
 
 
 @pytest.mark.parametrize("messages", [True, False], ids=["trial messages", "force alone"])
@@ -649,4 +649,4 @@ def test_compressed_colour_is_the_grey_of_its_light(channel: int) -> None:
     picture[:, :, channel] = ramp
     data = cv2.imencode(".png", picture)[1].tobytes()
     message = SimpleNamespace(format="bgr8; png compressed", data=data)
-    assert np.array_equal(as_mono8(image_in(message)), ramp)
+    assert np.array_equal(as_mono8(image_of(message)), ramp)

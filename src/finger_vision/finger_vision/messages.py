@@ -7,17 +7,24 @@ from __future__ import annotations
 
 from typing import Any
 
+import cv2
 import numpy as np
 
+from finger_common.errors import InputError
+from finger_common.image_files import decode_image
+
 from .area_sensor import ContactMeasurement
-from .images import decode
+from .images import MOSAICS, decode
 
 
 def image_of(message: Any) -> np.ndarray:
-    """(H, W) or (H, W, channels) array from a sensor_msgs/Image, as `images.decode` gives it.
+    """(H, W) or (H, W, channels) array from a sensor_msgs Image, as `images.decode` gives it, or
+    from a CompressedImage, whatever maker's `format` it has.
 
     Raises InputError with the reason when it cannot be used.
     """
+    if hasattr(message, "format"):
+        return _uncompressed(str(message.format), bytes(message.data))
     return decode(
         message.data,
         int(message.height),
@@ -27,6 +34,17 @@ def image_of(message: Any) -> np.ndarray:
         bool(message.is_bigendian),
         where="frame",
     )
+
+
+def _uncompressed(form: str, data: bytes) -> np.ndarray:
+    where = f"compressed image ('{form[:40]}')"
+    if "compressedDepth" in form:
+        raise InputError(f"{where}: distances, no picture of the plate; name another topic")
+    image = decode_image(data, where, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH)
+    sent, _, how = (part.strip() for part in form.partition(";"))
+    if sent in MOSAICS and image.ndim == 2 and "bgr" not in how and "mono" not in how:
+        return cv2.cvtColor(image, MOSAICS[sent])  # image_transport compresses a mosaic as it is
+    return image
 
 
 def contact_area_fields(measurement: ContactMeasurement) -> dict[str, Any]:

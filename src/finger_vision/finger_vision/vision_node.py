@@ -17,12 +17,12 @@ import time
 from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import cv2
 from geometry_msgs.msg import Point, Point32, Vector3
 from lifecycle_msgs.srv import GetState
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import CompressedImage, Image
 from std_srvs.srv import Trigger
 
 from finger_common.diagnostics import WARN, Health
@@ -40,6 +40,8 @@ from .camera_stream import CameraStream, LeftOut
 from .messages import contact_area_fields, image_of
 from .overlay import draw_overlay
 from .ridge_motion import DEFAULT_RIDGE_PERIOD, RidgeMotion, RidgeMotionSettings
+
+Picture: TypeAlias = Image | CompressedImage
 
 SILENCE = 2.0
 """s without an image, while somebody publishes them, after which it is said."""
@@ -63,6 +65,11 @@ PALE_PRINT = AreaFlag.NO_CONTACT | AreaFlag.LOW_CONTRAST
 class VisionSettings(FrameSettings):
     """Settings of the node itself."""
 
+    image_transport: str = setting(
+        "raw",
+        "How images come: raw on image_raw, or compressed on image_raw/compressed.",
+        choices=("raw", "compressed"),
+    )
     learn_background: bool = setting(
         True, "Learn the background from images without contact as they pass."
     )
@@ -133,7 +140,7 @@ class VisionNode(ManagedNode):
             )
 
     def activate(self) -> None:
-        self._newest: queue.Queue[Image | None] = queue.Queue(1)
+        self._newest: queue.Queue[Picture | None] = queue.Queue(1)
         self._worker = threading.Thread(
             target=self._work, args=(self._newest,), name="vision", daemon=True
         )
@@ -145,9 +152,11 @@ class VisionNode(ManagedNode):
         self._answer: Any = None
         """Client and answer of `_state_of_camera`."""
         # A few images of depth, so that the node, not the middleware, drops and counts them.
+        compressed = self.values["image_transport"] == "compressed"
+        self._source = "image_raw/compressed" if compressed else "image_raw"
         self.create_stream_subscription(
-            Image,
-            "image_raw",
+            CompressedImage if compressed else Image,
+            self._source,
             self._on_image,
             self.stream_qos(3),
             message_lost=lambda event: self.health.count("lost", event.total_count_change),
@@ -161,7 +170,7 @@ class VisionNode(ManagedNode):
 
     # Work ------------------------------------------------------------------------------------
 
-    def _on_image(self, message: Image) -> None:
+    def _on_image(self, message: Picture) -> None:
         now = time.monotonic()
         if not self._first:
             self._intervals.append(now - self._heard)
@@ -174,7 +183,7 @@ class VisionNode(ManagedNode):
         if self._replace(message):
             self.health.count("dropped")
 
-    def _replace(self, message: Image | None) -> bool:
+    def _replace(self, message: Picture | None) -> bool:
         """Hand the worker an image, or None to end; true when an image was still waiting."""
         waiting = False
         with suppress(queue.Empty):
@@ -182,7 +191,7 @@ class VisionNode(ManagedNode):
         self._newest.put_nowait(message)
         return waiting
 
-    def _work(self, newest: queue.Queue[Image | None]) -> None:
+    def _work(self, newest: queue.Queue[Picture | None]) -> None:
         for message in iter(newest.get, None):
             try:
                 self._measure(message)
@@ -206,7 +215,7 @@ class VisionNode(ManagedNode):
                     self.health.count("failed")
                     self.log_fault(self.health, "failure", f"{type(error).__name__}: {error}")
 
-    def _measure(self, message: Image) -> None:
+    def _measure(self, message: Picture) -> None:
         with self._lock:
             image = self._stream.signal(image_of(message))
             self.health.recovered("frozen")
@@ -323,7 +332,7 @@ class VisionNode(ManagedNode):
     def _silence(self) -> str:
         """What to say of images that do not come; empty where they do."""
         now = time.monotonic()
-        if not self.count_publishers("image_raw"):
+        if not self.count_publishers(self._source):
             self._heard, self._first = now, True
             self._intervals.clear()
         silent = now - self._heard
@@ -343,7 +352,7 @@ class VisionNode(ManagedNode):
     def _state_of_camera(self) -> tuple[str, str]:
         """Name of the node that publishes images, and its lifecycle state by its answer to the last
         call; empty where it has given none."""
-        publishers = self.get_publishers_info_by_topic("image_raw")
+        publishers = self.get_publishers_info_by_topic(self._source)
         if not publishers:
             return "", ""
         name = f"{publishers[0].node_namespace.rstrip('/')}/{publishers[0].node_name}"

@@ -130,3 +130,50 @@ def test_messages_are_read_by_attribute() -> None:
         data=GREY.ravel(),
     )
     np.testing.assert_array_equal(image_of(message), GREY)
+
+
+SMOOTH = np.add.outer(np.arange(40), np.arange(60)).astype(np.uint8) * 2
+
+
+def compressed(form: str, picture: np.ndarray, ending: str) -> SimpleNamespace:
+    """A sensor_msgs/CompressedImage."""
+    return SimpleNamespace(format=form, data=cv2.imencode(ending, picture)[1])
+
+
+@pytest.mark.parametrize(
+    ("form", "ending"),
+    [
+        ("jpeg", ".jpg"),
+        ("png", ".png"),
+        ("mono8; jpeg compressed ", ".jpg"),
+        ("bgr8; jpeg compressed bgr8", ".jpg"),
+        ("rgb8; png compressed bgr8", ".png"),
+        ("", ".png"),
+    ],
+)
+def test_a_compressed_image_is_read_by_its_content(form: str, ending: str) -> None:
+    picture = np.dstack([SMOOTH] * 3) if "gr8" in form or "gb8" in form else SMOOTH
+    image = as_mono8(image_of(compressed(form, picture, ending)))
+    assert np.abs(image.astype(int) - SMOOTH).max() <= (2 if ending == ".jpg" else 0)
+
+
+def test_a_compressed_mosaic_becomes_colours_as_the_raw_one_does() -> None:
+    mosaic = np.zeros((40, 60), np.uint8)
+    mosaic[1::2, 1::2] = SMOOTH[1::2, 1::2]  # a plate in blue light
+    raw = decode(mosaic.tobytes(), 40, 60, "bayer_rggb8", 60)
+    for form in ("bayer_rggb8; png compressed ", "bayer_rggb8; png compressed bayer_rggb8"):
+        np.testing.assert_array_equal(image_of(compressed(form, mosaic, ".png")), raw)
+    converted = image_of(compressed("bayer_rggb8; png compressed bgr8", raw, ".png"))
+    np.testing.assert_array_equal(converted, raw)
+
+
+def test_broken_and_other_compressed_images_are_refused() -> None:
+    for ending in (".jpg", ".png"):
+        whole = compressed("jpeg", SMOOTH, ending)
+        whole.data = whole.data[: len(whole.data) // 2]
+        with pytest.raises(InputError, match=r"compressed image \('jpeg'\): broken"):
+            image_of(whole)
+    depth = compressed("16UC1; compressedDepth png", SMOOTH.astype(np.uint16), ".png")
+    depth.data = b"\0" * 12 + depth.data.tobytes()
+    with pytest.raises(InputError, match="no picture of the plate"):
+        image_of(depth)

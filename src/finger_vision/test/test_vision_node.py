@@ -22,7 +22,8 @@ import cv2
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from sensor_msgs.msg import Image
+from rclpy.executors import SingleThreadedExecutor
+from sensor_msgs.msg import CompressedImage, Image
 from std_srvs.srv import Trigger
 
 from finger_msgs.msg import ContactArea
@@ -258,6 +259,39 @@ def test_a_frozen_camera_gives_the_same_areas_live_and_offline_and_is_told(
         assert len(live) == 8
         work([stamped(renderer.render(4e-3), 10**12 + 10**10)])
         assert "frozen" not in node.health.faults and len(areas) == 9
+
+
+def test_compressed_images_give_the_areas_of_the_raw_ones(ros_domain: int, tmp_path: Path) -> None:
+    renderer = FtirRenderer("natural", seed=3, scene=Scene(), width=640, height=480)
+    renderer.calibration().save(tmp_path / "plate.yaml")
+    pictures = [renderer.empty(), renderer.render(3e-3)]
+    images = [stamped(p, 10**12 + k * 10**8) for k, p in enumerate(pictures)]
+    found = []
+    for transport, topic in (("raw", "/image_raw"), ("compressed", "/image_raw/compressed")):
+        sent: list[Image | CompressedImage] = []
+        for image, picture in zip(images, pictures):
+            data = cv2.imencode(".png", picture)[1].tobytes()
+            packed = CompressedImage(header=image.header, format="mono8; png compressed ")
+            packed.data = data
+            sent.append(image if transport == "raw" else packed)
+        plate = str(tmp_path / "plate.yaml")
+        with node_here(ros_domain, calibration_file=plate, image_transport=transport) as node:
+            areas: list[ContactArea] = []
+            assert node.bring_up()
+            (stream,) = (s for s in node.subscriptions if "image" in s.topic_name)
+            assert stream.topic_name == topic and stream.msg_type is type(sent[0])
+            node._areas = SimpleNamespace(publish=areas.append)
+            camera = node.create_publisher(type(sent[0]), topic, 3)
+            executor = SingleThreadedExecutor(context=node.context)
+            executor.add_node(node)
+            for number, image in enumerate(sent, 1):
+                camera.publish(image)
+                end = time.monotonic() + 60
+                while len(areas) < number and time.monotonic() < end:
+                    executor.spin_once(timeout_sec=0.1)
+            executor.shutdown()
+            found.append([(a.header.stamp, a.gross_area, a.flags) for a in areas])
+    assert len(found[0]) == 2 and found[0] == found[1]
 
 
 def test_stamps_that_are_not_in_order_are_dropped_and_told(ros_domain: int) -> None:

@@ -239,7 +239,7 @@ class _Recording:
             result.presses.append((int(stamps[first]), last, peak))
             earlier = int(stamps[chosen[number - 1][1] - 1]) if number else int(stamps[0])
             begin = max(int(stamps[first]) - nanoseconds(BEFORE_PRESS), earlier)
-            target = settings.target_force or math.floor(reached_force(peak, rest) * 100) / 100
+            target = settings.target_force or reached_force(peak, rest)
             about = {
                 "session": settings.session,
                 "subject": settings.subject,
