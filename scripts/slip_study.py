@@ -3,7 +3,7 @@
 
 """How well slip is foretold: simulated pulls of random fingers on a plate, friction not known.
 
-    python scripts/slip_study.py --fingers 120 [--alarm 0.05 0.15 0.4] [-o slip.json]
+    python scripts/slip_study.py --fingers 120 [--alarm 0.05 0.15 0.4] [--tilt 3] [-o slip.json]
 
 A finger presses, the plate moves sideways at a constant speed until the finger slips after 0.1 to
 2 s, or it stops before and is held; then it goes back and the finger lifts off; six such pulls for
@@ -18,7 +18,7 @@ import argparse
 import json
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -154,28 +154,47 @@ def pull(rng: np.random.Generator, finger: Finger, slips: bool) -> Pull:
     return Pull(time, normal + noise[:, 2], lateral, ratio, stick, left, slip_at)
 
 
+def tilted(one: Pull, degrees: float, toward: float) -> Pull:
+    """A pull as a force sensor sees it whose normal axis leans by these degrees in a lateral
+    direction (rad)."""
+    lean, axis = math.radians(degrees), np.array([math.cos(toward), math.sin(toward)])
+    along = one.lateral @ axis
+    seen = math.cos(lean) * along + math.sin(lean) * one.normal
+    return replace(
+        one,
+        normal=math.cos(lean) * one.normal - math.sin(lean) * along,
+        lateral=one.lateral + np.outer(seen - along, axis),
+    )
+
+
 def study(fingers: int, seed: int, camera: bool, alarm_at: float = ALARM) -> dict[str, float]:
     """Figures over fingers of PULLS pulls each; `camera`: stick ratios at FRAMES come in late."""
     return trade_off(fingers, seed, camera, (alarm_at,))[0]
 
 
 def trade_off(
-    fingers: int, seed: int, camera: bool, alarms: tuple[float, ...]
+    fingers: int, seed: int, camera: bool, alarms: tuple[float, ...], tilt: float = 0.0
 ) -> list[dict[str, float]]:
-    """The figures of `study` for each probability that alarms."""
-    runs = list(followed(fingers, seed, camera))
+    """The figures of `study` for each probability that alarms, by a sensor that leans by `tilt`
+    (degrees) in a direction of each finger's own."""
+    runs = list(followed(fingers, seed, camera, tilt))
     return [figures(runs, alarm_at) for alarm_at in alarms]
 
 
-def followed(fingers: int, seed: int, camera: bool) -> Iterator[tuple[Finger, list]]:
+def followed(
+    fingers: int, seed: int, camera: bool, tilt: float = 0.0
+) -> Iterator[tuple[Finger, list]]:
     """Each finger with its pulls and what the estimator says of them, rows (n,)."""
     for number in range(fingers):
         rng = np.random.default_rng([seed, number])
         finger = random_finger(rng)
+        toward = np.random.default_rng([seed, number, 1]).uniform(0.0, 2.0 * math.pi)
         estimator = SlipEstimator(SlipSettings(tangential_noise=0.005))
         start, found = 0, []
         for _ in range(PULLS):
             one = pull(rng, finger, bool(rng.random() < 0.6))
+            if tilt:
+                one = tilted(one, tilt, toward)
             stamps = start + (one.time * 1e9).astype(np.int64)
             start = int(stamps[-1]) + 500_000_000
             touching = one.normal > 0.03
@@ -196,6 +215,7 @@ def figures(runs: list[tuple[Finger, list]], alarm_at: float) -> dict[str, float
     leads: list[float] = []
     errors: dict[str, list[float]] = {"first": [], "later": []}
     friction_errors: list[float] = []
+    friction_scores: list[float] = []
     covered: list[float] = []
     for finger, pulls in runs:
         slips = 0
@@ -217,8 +237,10 @@ def figures(runs: list[tuple[Finger, list]], alarm_at: float) -> dict[str, float
                 leads.append(one.slip - first)
                 slips += 1
                 if slips >= 2:
-                    last = rows["friction"][np.searchsorted(one.time, one.time[pulled][-1])]
-                    friction_errors.append(last / finger.friction - 1.0)
+                    last = rows[np.searchsorted(one.time, one.time[pulled][-1])]
+                    error = last["friction"] - finger.friction
+                    friction_errors.append(error / finger.friction)
+                    friction_scores.append(error / last["friction_stddev"])
             before = pulled & ~(one.time >= one.slip)
             found = rows["stick_ratio"][before] - one.stick[before]
             errors["later" if known else "first"].append(np.mean(found**2))
@@ -239,6 +261,7 @@ def figures(runs: list[tuple[Finger, list]], alarm_at: float) -> dict[str, float
         "stick_ratio_rms_later": math.sqrt(np.mean(errors["later"])),
         "stick_ratio_coverage_percent": 100.0 * float(np.mean(covered)),
         "friction_within_10_percent": 100.0 * float(np.mean(np.abs(friction_errors) < 0.1)),
+        "friction_within_2_sd_percent": 100.0 * float(np.mean(np.abs(friction_scores) < 2.0)),
     }
 
 
@@ -295,11 +318,15 @@ def main() -> None:
         metavar="P",
         help="probabilities that alarm: several give the trade-off (default: %(default)s)",
     )
+    parser.add_argument(
+        "--tilt", type=float, default=0.0, metavar="DEG", help="angle of a sensor that is not level"
+    )
     parser.add_argument("-o", "--output", type=Path, help="JSON file of the figures")
     values = parser.parse_args()
     found = {}
     for name, camera in (("force alone", False), ("with camera", True)):
-        table = trade_off(values.fingers, values.seed, camera, tuple(values.alarm))
+        alarms = tuple(values.alarm)
+        table = trade_off(values.fingers, values.seed, camera, alarms, values.tilt)
         print(f"{name + ', alarm at':32s}", *(f"{alarm:8.3g}" for alarm in values.alarm))
         for key in table[0]:
             print(f"  {key:30s}", *(f"{column[key]:8.3g}" for column in table))

@@ -26,7 +26,7 @@ from finger_model.slip.pull import pull_history
 from finger_model.verification.cases import CALCULIX_FINGER, elastic
 
 RATE = 500.0
-KNOWN = {"friction_prior_sd": 0.01, "tangential_noise": 0.0002}
+KNOWN = {"friction_prior_sd": 0.01, "tangential_noise": 0.0002, "level_sd": 0.0}
 
 
 def run(estimator, normal, lateral, start=0):
@@ -1033,3 +1033,53 @@ def test_a_load_that_is_held_still_does_not_alarm_for_long(noise, most):
         for time, forces in held_loads(noise, 12.0, 8)
     ]
     assert np.mean(alarm) < most
+
+
+def tilted_pulls(estimator, degrees, friction, angles, pulled=1.3, start=0, seed=0):
+    """Rows of one pull in each of these directions (rad), to `pulled` times the friction unless it
+    slips, and back before the finger lifts, by a sensor whose normal axis leans towards x."""
+    rng, lean = np.random.default_rng(seed), math.radians(degrees)
+    rows = []
+    for number, angle in enumerate(angles):
+        time, normal = presses(1, 4.0)
+        normal = normal * shaken(time)
+        pull = pulled * friction * ramp((0, 0), (0.8, 0), (1.8, 1), (2.4, 1), (2.6, 0), (4, 0))
+        along = np.outer(np.minimum(pull, friction * normal), [math.cos(angle), math.sin(angle)])
+        turned = math.cos(lean) * normal - math.sin(lean) * along[:, 0]
+        along[:, 0] = math.cos(lean) * along[:, 0] + math.sin(lean) * normal
+        along += rng.normal(0.0, 0.005, along.shape)
+        stamps = start + number * 5 * 10**9 + (2_000_000 * np.arange(len(time))).astype(np.int64)
+        depth = np.full(len(time), 1e-3)
+        rows.append(estimator.add_many(stamps, turned, along, turned > 0.03, depth))
+    return np.concatenate(rows)
+
+
+def test_a_sensor_that_is_not_level_does_not_bias_friction_beyond_its_deviation():
+    """Slips in several directions tell the tilt."""
+    off, far = [], 0
+    for seed in range(8):
+        angles = np.random.default_rng(seed).uniform(0.0, 2.0 * math.pi, 6)
+        estimator = SlipEstimator(SlipSettings(tangential_noise=0.005))
+        last = tilted_pulls(estimator, 3.0, 0.5, angles, seed=seed)[-1]
+        off.append(abs(last["friction"] / 0.5 - 1.0))
+        far += abs(last["friction"] - 0.5) > 2.0 * last["friction_stddev"]
+    assert np.median(off) < 0.04 and far <= 1
+
+
+def test_what_a_tilt_makes_of_the_normal_force_is_no_slip():
+    """Where nothing pulls, or a pull against the tilt is over, Q is in proportion to P."""
+    estimator = SlipEstimator(SlipSettings(tangential_noise=0.005))
+    known = tilted_pulls(estimator, 5.0, 0.6, [0.0, math.pi])[-1]
+    held = tilted_pulls(estimator, 5.0, 0.6, [math.pi, 3.0, 3.3], pulled=0.5, start=10**11)[-1]
+    assert held["slips"] == known["slips"]
+    assert held["friction"] == pytest.approx(0.6, rel=0.1)
+
+
+def test_the_tilt_of_a_sensor_is_kept_where_the_plate_changes():
+    estimator = SlipEstimator(SlipSettings(tangential_noise=0.005))
+    tilted_pulls(estimator, 4.0, 0.6, [0.0, math.pi, 1.6, 4.7])
+    estimator.change_surface()
+    one = tilted_pulls(estimator, 4.0, 0.3, [math.pi], start=10**11)[-1]
+    assert one["friction"] == pytest.approx(0.3, rel=0.05)
+    estimator.reset()
+    assert tilted_pulls(estimator, 4.0, 0.3, [math.pi])[-1]["friction"] < 0.27

@@ -32,9 +32,8 @@ from ..estimator.delayed import Delayed
 from ..geometry import Geometry
 from ..laws import MaxwellLaw
 from ..material import Material
-from . import kernels
+from . import friction, kernels, level
 from .estimate import OUTPUT, SlipEstimate, slip_estimates
-from .friction import set_prior
 from .settings import SlipSettings
 from .shear import set_finger
 
@@ -81,9 +80,11 @@ class SlipEstimator:
         config["horizon"] = settings.slip_horizon
         config["noise"] = settings.tangential_noise
         config["coupled"] = settings.grip_follows_load
-        friction = self._state["friction"][0]
-        if not friction["known"]["told"]:
-            set_prior(config["prior"][0], friction, float(friction["moisture"]))
+        of_friction = self._state["friction"][0]
+        if not of_friction["known"]["told"]:
+            if of_friction["known"]["level"]["sd"] != settings.level_sd:
+                level.begin(of_friction["known"]["level"], settings.level_sd)
+            friction.set_prior(config["prior"][0], of_friction, float(of_friction["moisture"]))
 
     def assume(self, geometry: Geometry, material: MaxwellLaw) -> None:
         """The finger that displacement and stiffness are of; until this is called the default one.
@@ -110,13 +111,18 @@ class SlipEstimator:
     def reset(self) -> None:
         """A finger and a plate that were not seen before."""
         self._state[:] = np.zeros(1, kernels.STATE)
-        set_prior(self._config["prior"][0], self._state["friction"][0], math.nan)
+        of_friction = self._state["friction"][0]
+        level.begin(of_friction["known"]["level"], self.settings.level_sd)
+        friction.set_prior(self._config["prior"][0], of_friction, math.nan)
 
     def change_surface(self) -> None:
-        """Another plate; what the air told of the sensor's zero is kept."""
+        """Another plate; what is known of the sensor, its zero and its tilt, is kept."""
         air = self._state["forces"]["air"].copy()
+        before = self._state["friction"]["known"].copy()[0]
         self.reset()
         self._state["forces"]["air"] = air
+        friction.keep_level(before, self._state["friction"]["known"][0])
+        friction.set_prior(self._config["prior"][0], self._state["friction"][0], math.nan)
 
     def add(self, estimate: ContactEstimate, force: Sequence[float]) -> SlipEstimate:
         """One sample: the contact's estimate and the force (3,) in N that it came from.

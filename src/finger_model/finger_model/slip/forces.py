@@ -186,6 +186,13 @@ def tangential(track):
 
 
 @njit(cache=True)
+def direction(track):
+    """Of Q, a unit vector."""
+    size = max(tangential(track), 1e-9)
+    return track.value[1] / size, track.value[2] / size
+
+
+@njit(cache=True)
 def ratio_of(track):
     """r = |Q|/P."""
     return tangential(track) / max(track.value[0], 1e-6)

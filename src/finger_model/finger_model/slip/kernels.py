@@ -33,6 +33,8 @@ FRAMES, NEXT_RATIO = 20, 0.05
 """Frames of a pull that count until r has grown by NEXT_RATIO: more of them err as these do."""
 SMALLEST_FORCE = 0.05
 """N; below it ratios are not judged."""
+CLEAR_PULL = 20.0
+"""|Q| over its noise from which its direction is clear."""
 UNSURE = 0.1
 """Error of the zero of Q over μP from which friction counts as assumed."""
 TEACHING_FORCE = 0.2
@@ -103,7 +105,7 @@ def _begin_contact(config, state, stamp, normal, q0, q1):
 def _learn(state):
     """Keep what the plateau that ends has told."""
     known = state.friction.known
-    probability = friction.learn(known, state.plateau)
+    probability = friction.learn(state.friction, state.plateau)
     if probability > 0.5 and not state.pull.counted:
         state.pull.counted = True
         friction.count_slip(known, plateau.mean_log_ratio(state.plateau), probability)
@@ -220,10 +222,13 @@ def follow(config, state, stamp, normal, q0, q1, touching, doubted, indentation,
     judged = touching and normal >= SMALLEST_FORCE and now[0] >= SMALLEST_FORCE
     ratio, beyond, with_load = 0.0, math.nan, 0.0
     if judged:
+        u0, u1 = forces.direction(state.forces.fast)
+        clear = forces.tangential(state.forces.fast) > CLEAR_PULL * state.forces.filtered_noise
+        friction.look(state.friction, u0, u1, clear)
         ratio = _judge_ratio(config, state, stamp) if anew else forces.ratio_of(state.forces.fast)
         smooth = state.forces.slow.value
         margin = max(DIP * now[0], DIP_NOISE * state.forces.filtered_noise)
-        mean = state.friction.mean  # of the sample before
+        mean = state.friction.limit  # of the sample before
         if elements.press(state.elements, mean, smooth[0], margin, smooth[1], smooth[2]):
             state.pull.turned = True
         beyond, with_load = elements.shares(state.elements, now[0], now[1], now[2])
@@ -232,6 +237,7 @@ def follow(config, state, stamp, normal, q0, q1, touching, doubted, indentation,
     ahead, spread = 0.0, 1.0
     if judged:
         ahead, spread = _ahead(state.forces, config.horizon, ratio, stands)
+    friction.look(state.friction, 0.0, 0.0, False)
     slipping, first_stick, stick_spread = friction.weigh(
         state.friction,
         config.drift,
@@ -245,7 +251,7 @@ def follow(config, state, stamp, normal, q0, q1, touching, doubted, indentation,
         spread,
         out,
     )
-    mean = out.friction
+    mean = state.friction.limit
     if not judged:
         _say_nothing(out, 0.0)
         out.flags |= NO_CONTACT
@@ -290,7 +296,7 @@ def see_stick(state, stamp, stick, sd):
             pull.frames += 1
             if pull.frames > FRAMES:
                 return False
-            friction.see_stick(state.friction.known, beyond, with_load, stick, sd)
+            friction.see_stick(state.friction, beyond, with_load, stick, sd)
             return True
     return False
 

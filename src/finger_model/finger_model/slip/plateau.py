@@ -48,7 +48,7 @@ PLATEAU = np.dtype(
         ("present", "?"),
         ("begin", "i8"),  # ns
         ("least", "f8"),  # ratio in this contact
-        ("sum", "f8"),  # of ln r, of the time in which it looked most like slip
+        ("sum", "f8", (3,)),  # of ln r and Q's direction, of the time that looked most like slip
         ("count", "f8"),  # weight of that sum
         ("spread", "f8"),  # of ln r in slip
         ("odds", "f8"),  # largest log of the odds of slip in it
@@ -69,7 +69,14 @@ PLATEAU = np.dtype(
 @njit(cache=True)
 def mean_log_ratio(plateau):
     """ln r of the plateau."""
-    return plateau.sum / max(plateau.count, 1.0)
+    return plateau.sum[0] / max(plateau.count, 1.0)
+
+
+@njit(cache=True)
+def direction(plateau):
+    """Of Q, a unit vector; zeros without samples."""
+    size = max(math.hypot(plateau.sum[1], plateau.sum[2]), 1e-9)
+    return plateau.sum[1] / size, plateau.sum[2] / size
 
 
 @njit(cache=True)
@@ -90,7 +97,8 @@ def lasts(plateau, stamp):
 def _begin(plateau, stamp):
     plateau.present = True
     plateau.begin = stamp
-    plateau.count = plateau.sum = 0.0
+    plateau.count = 0.0
+    plateau.sum[:] = 0.0
     plateau.odds = plateau.window_odds = plateau.earlier_odds = 0.0
     plateau.past_odds[:] = 0.0
     plateau.looks = plateau.seen = 0
@@ -103,6 +111,14 @@ def _window_odds(plateau, n, noise, coupled):
     for i in range(n):
         normal[i], pull[i] = plateau.window[(plateau.seen - n + i) % windows.LENGTH]
     return windows.odds_of_slip(normal, pull, noise, coupled)
+
+
+@njit(cache=True)
+def _keep(plateau, share):
+    """Let what came so far tell less of the ratio."""
+    for i in range(3):
+        plateau.sum[i] *= share
+    plateau.count *= share
 
 
 @njit(cache=True)
@@ -126,16 +142,16 @@ def _look_for_slip(plateau, forces, coupled, dt, log_ratio, judged):
             plateau.earlier_odds = max(EARLIER * plateau.window_odds, 0.0)
     odds = plateau.window_odds - math.log(1.0 + plateau.looks / windows.LEAST)
     if odds > plateau.odds + 0.5:
-        keep = 0.5 if plateau.odds > 0.0 else 0.0
-        plateau.sum *= keep
-        plateau.count *= keep
+        _keep(plateau, 0.5 if plateau.odds > 0.0 else 0.0)
     # Friction may change in a slide that goes on.
     slides = plateau.odds >= CLEAR_SLIP and plateau.window_odds > 0.0 and plateau.seen > SLIDE
     if slides and plateau.count > SLIDE:
-        plateau.sum *= SLIDE / plateau.count
-        plateau.count = SLIDE
+        _keep(plateau, SLIDE / plateau.count)
     if slides or odds > plateau.odds - 0.5 or plateau.count == 0.0:
-        plateau.sum += log_ratio
+        q = max(newest[1], 1e-9)
+        plateau.sum[0] += log_ratio
+        plateau.sum[1] += forces.fast.value[1] / q
+        plateau.sum[2] += forces.fast.value[2] / q
         plateau.count += 1.0
     if plateau.looks <= 1:
         plateau.odds = odds

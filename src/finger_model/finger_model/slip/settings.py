@@ -42,6 +42,14 @@ class SlipSettings(Settings):
         minimum=0.0,
         maximum=1.0,
     )
+    level_sd: float = _runtime(
+        0.04,
+        "Standard deviation of the angle between the force sensor's normal axis and the plate's "
+        "normal, for the one sensor in twenty that is taken not to be level; 0: none is.",
+        unit="rad",
+        minimum=0.0,
+        maximum=0.2,
+    )
     slip_horizon: float = _runtime(
         0.05,
         "Time ahead for which the probability of slip is given.",
