@@ -1075,6 +1075,17 @@ def test_what_a_tilt_makes_of_the_normal_force_is_no_slip():
     assert held["friction"] == pytest.approx(0.6, rel=0.1)
 
 
+@pytest.mark.parametrize("seconds", [0.03, 0.06])
+def test_a_lateral_force_that_comes_late_teaches_no_friction_at_a_fast_release(seconds):
+    """By 10 ms, of a pull that is held."""
+    end = (2.0, 1.5), (2.0 + seconds, 0.0), (2.3, 0.0)
+    normal = ramp((0, 0), (0.3, 1.5), *end)
+    pull = np.roll(0.3 * ramp((0, 0), (0.5, 0), (1.2, 1.5), *end), 5)
+    estimator = SlipEstimator(SlipSettings(tangential_noise=0.002))
+    friction = run(estimator, normal, pull)["friction"]
+    assert friction[-1] == pytest.approx(friction[950], rel=0.05)
+
+
 def test_the_tilt_of_a_sensor_is_kept_where_the_plate_changes():
     estimator = SlipEstimator(SlipSettings(tangential_noise=0.005))
     tilted_pulls(estimator, 4.0, 0.6, [0.0, math.pi, 1.6, 4.7])

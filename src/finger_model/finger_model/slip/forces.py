@@ -24,6 +24,9 @@ LONGEST_STEP = 0.0125
 """s between samples up to which what is rough of Q is noise."""
 KNOCK, KNOCKED = 40.0, 0.08
 """1/s, rate of Q over P of a knock, not a pull, and s after it in which ratios tell nothing."""
+LETTING_GO = 3.0
+"""1/s, fall of P over P from which a finger lets go: a Q that comes late makes a ratio too
+large."""
 LEAST_ROUGH = 10.0
 """Samples in the air that tell the noise."""
 CLEAR_ZERO = 3.0
@@ -196,6 +199,12 @@ def direction(track):
 def ratio_of(track):
     """r = |Q|/P."""
     return tangential(track) / max(track.value[0], 1e-6)
+
+
+@njit(cache=True)
+def lets_go(forces):
+    """Whether the finger lets go."""
+    return forces.fast.rate[0] < -LETTING_GO * forces.fast.value[0]
 
 
 @njit(cache=True)

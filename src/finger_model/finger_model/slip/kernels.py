@@ -131,7 +131,7 @@ def _judge_ratio(config, state, stamp):
     ratio, slow = forces.ratio_of(tracked.fast), forces.ratio_of(tracked.slow)
     load = tracked.fast.value[0]
     forces.see_knock(tracked, stamp)
-    if forces.calm(tracked, stamp):
+    if forces.calm(tracked, stamp) and not forces.lets_go(tracked):
         # Noise of the force is no pull.
         carried = min(ratio, slow) - 2.0 * math.hypot(tracked.noise, tracked.zero_error) / load
         if load >= TEACHING_FORCE:

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..compiled import njit
 from . import windows
-from .forces import calm, ratio_of, tangential
+from .forces import calm, lets_go, ratio_of, tangential
 from .forecasts import KEPT, back, compare, due
 
 STILL, GONE = -1.0, -3.0
@@ -39,9 +39,6 @@ SLIDE = 100
 """Forecasts of a slide after which its newest ones tell its ratio."""
 EARLIER = 0.5
 """Share of what the windows before tell that is kept."""
-LETTING_GO = 3.0
-"""1/s, fall of P over P from which a finger lets go: then Q falls with P, also where what it held
-is put down, but at another ratio than before."""
 
 PLATEAU = np.dtype(
     [
@@ -175,7 +172,8 @@ def judge(plateau, forecasts, forces, coupled, stamp):
     still = forecasts.odds > (GONE if plateau.present else STILL)
     still = still and ratio > 0.05 and q > 6.0 * forces.noise
     still = still and forecasts.count > 2 * KEPT and calm(forces, stamp)
-    letting_go = forces.fast.rate[0] < -LETTING_GO * load
+    # Q falls with P then, also where what was held is put down, but at another ratio than before.
+    letting_go = lets_go(forces)
     if letting_go and not plateau.letting_go:
         plateau.kept_odds = plateau.past_odds[(forecasts.count - back(forecasts, stamp)) % KEPT]
         plateau.kept_ratio = mean_log_ratio(plateau)
