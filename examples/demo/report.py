@@ -71,12 +71,13 @@ body{margin:2.2em auto;padding:0 1.2em}
 h1{font-size:1.7em;margin:0 0 .2em} h2{font-size:1.15em;margin:2em 0 .4em}
 p.lead{color:#555;margin:.2em 0 1.4em} img{max-width:100%;height:auto}
 table{border-collapse:collapse;margin:.6em 0;font-variant-numeric:tabular-nums}
-th,td{padding:.28em .8em;text-align:right;border-bottom:1px solid #e2e2e2}
+th,td{padding:.28em .55em;text-align:right;border-bottom:1px solid #e2e2e2}
 th:first-child,td:first-child{text-align:left}
 thead th{border-bottom:2px solid #999;font-weight:600}
 td.c{font-weight:600;padding-left:.5em} .note{color:#555;font-size:.92em} figure{margin:.8em 0}
 figure.narrow img{max-width:68%} td{white-space:nowrap}
 td small{display:block;color:#555;white-space:nowrap}
+@media screen{table{display:block;overflow-x:auto}}
 @page{size:A4;margin:16mm 14mm 18mm}
 @media print{
  body{margin:0;padding:0;max-width:none;font-size:9.5pt;line-height:1.4}
