@@ -641,7 +641,7 @@ def test_a_parameter_that_may_be_zero_is_fitted_with_intervals(tmp_path: Path) -
             area = model.simulate(tissue, time, force).area[::10]
             area = area + np.where(area > 0, 1e-6 * random.normal(size=len(area)), 0.0)
             trials.append(Trial(time, force, np.maximum(area, 0.0), time[::10], condition))
-    some = {**QUICK, "grid": 2, "rounds": 2, "bootstrap": 0, "bias_pairs": 1, "step": 0.05}
+    some = {**QUICK, "grid": 2, "bootstrap": 0, "bias_pairs": 1, "step": 0.05}
     some |= {"law": tissue.name, "bounds": {"stiffening": (0, 3)}, "nuisances": False}
     found = fit(trials[:3], **some)
     fitted = found.result.fits["dry"]

@@ -38,6 +38,8 @@ def warm_up(estimator: ContactEstimator) -> None:
     for stamp_ns in range(1, 3):
         for estimate in estimator.add_wrench(stamp_ns * 10**9, (0.0, 0.0, 0.0)):
             followers.follow(estimate, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    estimator.change_surface()
+    followers.keep_up()
     estimator.predict(np.array([0.1]), np.array([0.01]))
     estimator.force_for_area(1e-6)
     estimator.mismatch()

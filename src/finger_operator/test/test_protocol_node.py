@@ -97,6 +97,7 @@ class Suite:
     def read_moisture(self, value: float) -> None:
         from finger_msgs.msg import Moisture
 
+        self.until(self.moisture.get_subscription_count)
         message = Moisture(value=value)
         message.header.stamp = self.node.get_clock().now().to_msg()
         self.moisture.publish(message)
