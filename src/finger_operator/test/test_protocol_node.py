@@ -137,7 +137,7 @@ class Suite:
 
     def press(self) -> None:
         self.force = 0.7
-        self.spin(0.5)
+        self.spin(1.0)
         self.force = 1.4
         self.step("lift")
         self.spin(0.1)  # no single sample counts as the target
