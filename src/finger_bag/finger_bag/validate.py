@@ -23,6 +23,7 @@ from finger_common.errors import InputError
 from finger_common.flags import AreaFlag
 from finger_common.plugins import Plugins
 from finger_common.stamps import NANOSECONDS
+from finger_common.usable_press import LONGEST_GAP
 
 from .read_settings import ReadSettings
 from .reader import BagReader, open_bag
@@ -44,9 +45,6 @@ MINIMUM_RATE = {"wrench": 100.0, "contact_area": 5.0, "image_raw": 5.0}
 
 RATE_TOLERANCE = 0.1
 """Relative deviation from the schema's rate that is worth a note."""
-
-LONGEST_GAP = 0.05
-"""s between two wrenches."""
 
 MAXIMUM_DELAY, MAXIMUM_LEAD = 1.0, 0.05
 """s of the log time behind the stamp, and before it: clocks that disagree (medians)."""

@@ -14,6 +14,7 @@ import numpy as np
 from finger_common.errors import InputError, put_once
 from finger_common.files import load_yaml
 from finger_common.settings import Settings, setting
+from finger_common.usable_press import FEWEST_FRAMES
 from finger_model.paper import PRESS_DURATION, TARGET_FORCE, TRIALS_PER_CONDITION
 
 from ..api import Trial
@@ -29,9 +30,6 @@ LARGEST_ZERO = 5e-3
 
 FORCE_RATE = 500.0
 """Hz of the planned force."""
-
-FEWEST_FRAMES = 3
-"""Frames of a loading without which a fit cannot use a press."""
 
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
