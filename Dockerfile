@@ -1,5 +1,5 @@
-# Finger contact suite on Ubuntu 24.04 with ROS 2 Jazzy from apt. Building it has not been tested:
-# no container tool was at hand. tests/test_colcon.py builds the workspace and runs its commands.
+# Finger contact suite on Ubuntu 24.04 with ROS 2 Jazzy from apt. Building it has not been tested.
+# tests/test_colcon.py builds the same workspace and runs its commands.
 #
 #   docker build -t finger-contact .
 #   docker run --rm -it --network host finger-contact finger-rig up --simulated

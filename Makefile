@@ -12,6 +12,7 @@ WORKERS ?= $(shell echo $$(($$(nproc) + 1)))
 help:
 	@echo "make demo         set up, run the simulated rig, record, fit, write out/demo/report.html"
 	@echo "make test         set up and run the tests (test-slow: the long ones)"
+	@echo "make lint         check style and types, as make test does first"
 	@echo "make test-compat  the core tests with NumPy 1.26 and OpenCV 4, as on apt Jazzy"
 	@echo "make bench        measure the key figures into bench/results.json"
 	@echo "make soak         record the full rig load for 30 minutes"
@@ -19,6 +20,7 @@ help:
 	@echo "make bags         make the sample bags again"
 	@echo "make reference    write docs/nodes.md, rig.yaml and the packages' release files"
 	@echo "make setup        only set up the environment in $(ENV)"
+	@echo "make clean        remove what demo, tests and colcon wrote"
 
 setup:
 	@command -v $(PYTHON) >/dev/null || { echo "setup: $(PYTHON) not found:" \

@@ -14,10 +14,13 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
 import pytest
+
+from finger_common.flags import StateFlag
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), ROOT / "bags" / "README.md"]
@@ -126,3 +129,31 @@ def test_architecture_names_every_module_or_its_folder() -> None:
         and part.stem not in named
     ]
     assert not missing, f"name them in docs/architecture.md: {missing}"
+
+
+def test_architecture_says_where_each_flag_is_decided() -> None:
+    text = (ROOT / "docs/architecture.md").read_text()
+    table = text.split("| flag | decided in |", 1)[1].split("\n\n", 1)[0]
+    named = re.findall(r"`([^`]+)`", table)
+    missing = [name for name in StateFlag.__members__ if not any(fnmatch(name, n) for n in named)]
+    messages = ("contact_area", "contact_slip", "contact_shape", "moisture")
+    missing += [m for m in messages if f"flags of `{m}`" not in table]
+    assert not missing
+
+
+def test_architecture_names_every_folder_of_the_checkout_with_code() -> None:
+    text = (ROOT / "docs/architecture.md").read_text().split("## Rules", 1)[0]
+    folders = {file.parent.name for file in ROOT.glob("*/*.py")}
+    folders |= {folder.name for folder in (ROOT / "src").iterdir() if folder.is_dir()}
+    missing = [name for name in sorted(folders) if not re.search(rf"^(src/)?{name}\b", text, re.M)]
+    assert not missing
+
+
+def test_help_of_make_names_every_target() -> None:
+    """setup-test is a part of others."""
+    text = (ROOT / "Makefile").read_text()
+    (listed,) = re.findall(r"^\.PHONY: ((?:.*\\\n)*.*)$", text, re.M)
+    shown = "\n".join(re.findall(r"@echo \"(.*)\"", text))
+    targets = set(re.findall(r"[\w-]+", listed)) - {"help", "setup-test"}
+    missing = [t for t in sorted(targets) if not re.search(rf"(?<![\w-]){t}(?![\w-])", shown)]
+    assert not missing

@@ -57,7 +57,7 @@ TOPICS: dict[str, TopicSpec] = {
             "wrench_raw",
             "geometry_msgs/msg/WrenchStamped",
             500.0,
-            meaning="the same before tare",
+            meaning="force and torque before the tare (N, N m)",
         ),
         TopicSpec("image_raw", "sensor_msgs/msg/Image", 10.0, meaning="FTIR image, mono8"),
         TopicSpec(
