@@ -20,15 +20,11 @@ import argparse
 import math
 
 import numpy as np
-from slip_study import AHEAD, FALSE_RATIO, FALSE_TIME, PULLS
+from slip_study import AHEAD, FALSE_RATIO, FALSE_TIME, FRICTIONS, PULLS, RISES, SLIPS, STOPS
 
 from finger_model.slip import backbone
 
-FRICTION = np.geomspace(0.15, 1.2, 200)
-RISES = 0.1, 2.0
-"""s, in which a pull reaches the slip: shortest and longest."""
-SLIPS, STOPS = 0.6, (0.2, 0.85)
-"""Share of the pulls that slip; share of the friction at which the others stop."""
+FRICTION = np.geomspace(*FRICTIONS, 200)
 PRICES = 0.3, 0.6, 0.8, 0.9, 1.0, 1.1, 1.2, 1.5
 """Of a missed slip, in false alarms."""
 
@@ -69,7 +65,7 @@ def observe(fingers: int, price: float) -> dict[str, float]:
     errors: list[float] = []
     false, later = 0, 0
     for _ in range(fingers):
-        friction = math.exp(rng.uniform(*np.log(FRICTION[[0, -1]])))
+        friction = math.exp(rng.uniform(*np.log(FRICTIONS)))
         carried, known = 0.0, False
         for _ in range(PULLS):
             rise = math.exp(rng.uniform(*np.log(RISES)))

@@ -54,6 +54,12 @@ FALSE_TIME, FALSE_RATIO = 0.25, 0.85
 less of the friction is used; and so it would have been FORGIVEN (s) before."""
 FORGIVEN = 0.03
 PULLS = 6
+FRICTIONS = 0.15, 1.2
+"""Least and largest μ of a finger."""
+RISES = 0.1, 2.0
+"""s, in which a pull reaches the slip: shortest and longest."""
+SLIPS, STOPS = 0.6, (0.2, 0.85)
+"""Share of the pulls that slip; share of the way to the slip at which the others stop."""
 
 
 @dataclass(frozen=True)
@@ -84,11 +90,15 @@ class Pull:
     slip: float
 
 
+def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    return math.exp(rng.uniform(math.log(low), math.log(high)))
+
+
 def random_finger(rng: np.random.Generator) -> Finger:
-    """A finger with friction 0.15 … 1.2."""
+    """A finger with friction in FRICTIONS."""
     return Finger(
-        math.exp(rng.uniform(math.log(0.15), math.log(1.2))),
-        math.exp(rng.uniform(math.log(250.0), math.log(1200.0))),
+        _log_uniform(rng, *FRICTIONS),
+        _log_uniform(rng, 250.0, 1200.0),
         rng.uniform(0.85, 1.15),
         rng.uniform(0.02, 0.08),
     )
@@ -100,9 +110,9 @@ def pull(rng: np.random.Generator, finger: Finger, slips: bool) -> Pull:
     friction = finger.friction * math.exp(rng.normal(0.0, 0.02))
     reach = friction * load / finger.stiffness
     begin = 0.6 + rng.uniform(0.0, 0.3)
-    rise = math.exp(rng.uniform(math.log(0.1), math.log(2.0)))
+    rise = _log_uniform(rng, *RISES)
     speed = reach / rise
-    goal = rise + rng.uniform(0.15, 0.5) if slips else rise * rng.uniform(0.2, 0.85)
+    goal = rise + rng.uniform(0.15, 0.5) if slips else rise * rng.uniform(*STOPS)
     hold = rng.uniform(0.1, 0.5)
     back = 0.2
     end = begin + goal + hold + back + 0.4
@@ -192,7 +202,7 @@ def followed(
         estimator = SlipEstimator(SlipSettings(tangential_noise=0.005))
         start, found = 0, []
         for _ in range(PULLS):
-            one = pull(rng, finger, bool(rng.random() < 0.6))
+            one = pull(rng, finger, bool(rng.random() < SLIPS))
             if tilt:
                 one = tilted(one, tilt, toward)
             stamps = start + (one.time * 1e9).astype(np.int64)

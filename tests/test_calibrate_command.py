@@ -28,9 +28,10 @@ from finger_common.node import LATCHED_QOS, STATE_QOS, message_of  # noqa: E402
 from finger_common.stamps import fill_time  # noqa: E402
 from finger_common.trial_phases import TrialPhase  # noqa: E402
 from finger_msgs.msg import ContactArea, ContactState, SessionStatus, Trial  # noqa: E402
-from finger_operator.protocol import Protocol, Step  # noqa: E402
+from finger_operator.protocol import Protocol  # noqa: E402
 from finger_operator.status import session_status  # noqa: E402
 from finger_operator.status_message import status_fields  # noqa: E402
+from finger_operator.steps import Step  # noqa: E402
 from finger_operator.study_plan import StudyPlan  # noqa: E402
 
 

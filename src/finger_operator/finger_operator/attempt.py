@@ -78,6 +78,13 @@ class TrialState:
     verdict: str = "pending"
     attempts: list[Attempt] = field(default_factory=list)
 
+    def repeat(self) -> None:
+        """Let the attempt that counted count no more."""
+        for attempt in self.attempts:
+            if attempt.verdict == "done":
+                attempt.verdict, attempt.reason = "superseded", "repeated by the operator"
+        self.verdict = "pending"
+
     def give_up_repetition(self) -> None:
         """Let the newest attempt that was to be repeated count again, if there is one."""
         for attempt in reversed(self.attempts):

@@ -98,6 +98,11 @@ class EventLog:
         of_trial = self._by_trial.get((kind, index), [])
         return [e for e in of_trial if attempt is None or e.attempt == attempt]
 
+    def remarks(self, index: int, attempt: int) -> list[str]:
+        """Notes and markers of an attempt, each with its time."""
+        events = self.of("note", index, attempt) + self.of("marker", index, attempt)
+        return [f"{event.text} ({utc_time(event.stamp_ns)})" for event in events]
+
 
 def utc_time(stamp_ns: int) -> str:
     """ISO 8601 with milliseconds."""

@@ -1,10 +1,11 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What came last from force sensor, camera and diagnostics, and whether it is fresh."""
+"""What came last from force sensor, camera and diagnostics: whether it is fresh, and counts."""
 
 from __future__ import annotations
 
+import math
 import re
 from collections import deque
 from collections.abc import Iterator
@@ -12,7 +13,8 @@ from dataclasses import dataclass
 
 from finger_common.diagnostics import ERROR
 from finger_common.flags import AreaFlag
-from finger_common.stamps import seconds
+from finger_common.moisture import MOISTURE_RANGE, is_moisture
+from finger_common.stamps import NANOSECONDS, seconds
 
 from .limits import Limits
 
@@ -52,16 +54,12 @@ class Inputs:
         self._compared: _Sample | None = None
         self._lags: deque[float] = deque(maxlen=20)
         self._silent: set[str] = set()
+        self._zero = ""
 
     @property
     def force_stamp(self) -> int | None:
         """Stamp of the newest force."""
         return None if self._force is None else self._force.stamp_ns
-
-    @property
-    def area_stamp(self) -> int | None:
-        """Stamp of the newest area."""
-        return None if self._area is None else self._area.stamp_ns
 
     def add_force(self, stamp_ns: int, force: float, now_ns: int) -> None:
         """One normal force."""
@@ -89,9 +87,46 @@ class Inputs:
             "another computer; restart all nodes, or synchronise the computers"
         )
 
+    def set_zero(self, zero: str) -> float | None:
+        """The zero of the force, as its driver tells it; N by which it was moved, 0 where that is
+        not known, None where it is that of before."""
+        if zero == self._zero:
+            return None
+        before, self._zero = self._zero, zero
+        try:
+            first, second = ([float(v) for v in z.split(",")[:3]] for z in (before, zero))
+            return math.dist(first, second)
+        except ValueError:
+            return 0.0
+
     def add_area(self, stamp_ns: int, area: float, flags: int, now_ns: int) -> None:
         """One contact area with its quality flags."""
         self._area = _Sample(stamp_ns, now_ns or None, area, flags)
+
+    def refuse_reading(
+        self, value: float, stamp_ns: int, since_ns: int, now_ns: int, limits: Limits
+    ) -> str:
+        """Why a moisture reading (a.u.) does not count in a step that began at `since_ns`; empty
+        where it does."""
+        reading, early = f"Reading {value:g}", seconds(since_ns - stamp_ns)
+        # Tables have whole seconds.
+        if early > (0.0 if stamp_ns % NANOSECONDS else 1.0):
+            apart = self.clocks_apart()
+            as_late = abs(seconds(now_ns - stamp_ns) - self.force_lag) <= 1.0
+            remedy = (
+                f"{apart}."
+                if apart and as_late
+                else "take another. If it was taken now, the clock of the probe is late."
+            )
+            return (
+                f"{reading} is stamped {early:.1f} s before this step and does not count; {remedy}"
+            )
+        if not is_moisture(value):
+            low, high = MOISTURE_RANGE
+            return f"{reading} is outside {low:g}–{high:g} a.u. and does not count; take another."
+        if value < limits.least_moisture:
+            return f"{reading}: no contact with the skin; take another."
+        return ""
 
     def add_health(self, name: str, level: int, message: str, now_ns: int) -> str:
         """State of a device or node; the news of it for the event log, empty for none."""

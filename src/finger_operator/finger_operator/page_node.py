@@ -61,9 +61,9 @@ from .page.feed import (
 )
 from .page.server import PageServer
 from .page.settings import PageSettings
-from .protocol import PRESSING
 from .readiness import Problem, Readiness, refusal
 from .status_message import status_of
+from .steps import PRESSING
 
 T = TypeVar("T")
 

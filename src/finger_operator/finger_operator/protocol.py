@@ -19,71 +19,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from enum import Enum
 from pathlib import Path
 
-from finger_bag.bag_files import METADATA
 from finger_bag.streams import TrialEvent
-from finger_common.cli import one_line
 from finger_common.diagnostics import ERROR
 from finger_common.errors import InputError
 from finger_common.guided_presses import FITTING
 from finger_common.guided_pulls import is_pull
 from finger_common.host_clock import NOTABLE_STEP
-from finger_common.moisture import MOISTURE_RANGE, is_moisture
-from finger_common.stamps import NANOSECONDS, seconds
+from finger_common.stamps import seconds
 from finger_common.subject_code import finger_name
 from finger_common.trial_phases import TrialPhase
 
 from .attempt import Attempt, TrialState, scattered
-from .event_log import Event, EventLog, note_text, utc_time
+from .event_log import Event, EventLog, note_text
 from .inputs import Inputs
 from .limits import Limits
 from .press import Press, PressEvent
 from .pull import Pull
 from .recording import Recording, RecordingState, Request, StopRecording
-from .session_store import (
-    STATE_FILE,
-    SavedSession,
-    folder_size,
-    load_state,
-    mark_in_bag,
-    save_state,
-    save_table,
-)
+from .session_files import SessionFiles
+from .session_store import SavedSession, folder_size, load_state
+from .steps import PHASE_OF, PRESSING, UNDER_WAY, Step
 from .study_plan import StudyPlan
-
-
-class Step(str, Enum):
-    """State of the machine; finer than the announced phases."""
-
-    IDLE = "idle"
-    PREPARE = "prepare"
-    MOISTURE_BEFORE = "moisture_before"
-    CLEAR = "clear"
-    PRESS = "press"
-    PULL = "pull"
-    LIFT = "lift"
-    MOISTURE_AFTER = "moisture_after"
-    CLOSING = "closing"
-    DONE = "done"
-    FAILED = "failed"
-    FINISHED = "finished"
-
-
-PHASE_OF = {
-    Step.CLEAR: TrialPhase.MOISTURE_BEFORE,
-    Step.CLOSING: TrialPhase.DONE,
-    Step.FINISHED: TrialPhase.IDLE,
-}
-"""Announced phases of the steps that are no phase of their own."""
-
-PRESSING = (Step.PRESS, Step.PULL, Step.LIFT)
-"""Steps in which a finger may be on the plate."""
-
-UNDER_WAY = (Step.MOISTURE_BEFORE, Step.CLEAR, *PRESSING, Step.MOISTURE_AFTER)
-"""Steps of an attempt that is being recorded."""
-
 
 Effect = TrialEvent | Request
 
@@ -96,20 +54,8 @@ WAITING_TIME = 300.0
 ZERO_TOLD = 2.0
 """s after a press within which a report of a zero may be of one that was set during it."""
 
-WRITE_AGAIN = 5.0
-"""s between attempts to write what could not be written."""
-
 FIT_TIME = 120.0
 """s to wait for the result of a calibration: a second of work, on a busy machine a minute."""
-
-
-def _shift(before: str, after: str) -> float:
-    """Force in N between two zeros as their driver tells them; 0 where that is not known."""
-    try:
-        first, second = ([float(v) for v in zero.split(",")[:3]] for zero in (before, after))
-        return math.dist(first, second)
-    except ValueError:
-        return 0.0
 
 
 class Protocol:
@@ -140,15 +86,14 @@ class Protocol:
             TrialState(index, condition) for index, condition in enumerate(plan.trial_conditions())
         ]
         self.ended = ""
-        self.save_problem = ""
         self.log = EventLog(self.folder)
+        self.files = SessionFiles(self.folder, self.log, self._session, self._log)
         self._effects = effects
         self._now = 0
         self._step_began = 0
         self._step_stamp = 0
         """Stamp of the sample that brought the step, where one did."""
         self.recording = Recording(effects)
-        self._zero = ""
         self._lifted_at = 0
         self._last_progress = 0
         self._inputs = Inputs()
@@ -156,9 +101,6 @@ class Protocol:
         self._announced: tuple[object, ...] = ()
         self._clear_since: int | None = None
         self._press: Press | None = None
-        self.unmarked: list[tuple[Path, TrialEvent]] = []
-        """Bags of failed attempts and what they are to say of them, once they are closed."""
-        self._written_again = 0
         self._clock_step = 0.0
         self._waits: dict[Step, Callable[[float], None]] = {
             Step.PREPARE: self._await_preparation,
@@ -182,42 +124,12 @@ class Protocol:
         if self._press is not None:
             self._press.limits = limits
 
-    # State file ------------------------------------------------------------------------------
+    # Saved state -----------------------------------------------------------------------------
 
-    def save(self, state: bool = True) -> None:
-        """Write the state file, the table of trials and the event log; without `state` the log
-        alone.
-
-        What cannot be written is named in `save_problem`, and `tick` tries again.
-        """
-        saved = SavedSession(
-            self.plan, self.step.value, self.paused, self.current, self.trials, self.ended
+    def _session(self) -> SavedSession:
+        return SavedSession(
+            self.plan, self.step, self.paused, self.current, self.trials, self.ended
         )
-        try:
-            if state:
-                save_state(self.folder, saved)
-            self.log.save()
-            if self.step in (Step.DONE, Step.FAILED, Step.FINISHED, Step.PREPARE):
-                save_table(self.folder, self.trials, self.log)
-            if state:  # else the state may still be unwritten
-                self.save_problem = ""
-        except (OSError, InputError) as error:
-            reason = getattr(error, "strerror", None) or one_line(error)
-            self.save_problem = f"The session cannot be saved in {self.folder}: {reason}"
-
-    def write_all(self) -> None:
-        """Write all that a session leaves; raises InputError while that cannot be."""
-        self._mark_bags()
-        self.save()
-        if self.save_problem:
-            raise InputError(f"{self.save_problem}; make room or give access, then try again")
-
-    def _write_again(self) -> None:
-        """Write what could not be written before."""
-        self._written_again = self._now
-        self._mark_bags()
-        if self.save_problem:
-            self.save()
 
     def _log(self, kind: str, text: str, of_trial: bool = True) -> None:
         """Add to the event log, for the current trial or for the session as a whole."""
@@ -242,34 +154,21 @@ class Protocol:
         Raises InputError naming the file when it cannot be used.
         """
         saved = load_state(Path(folder))
-        try:
-            step = Step(saved.step)
-        except ValueError:
-            raise InputError(
-                f"{Path(folder) / STATE_FILE}: step '{saved.step}' does not exist; move the file "
-                "away to start a new session"
-            ) from None
-        if step in (*UNDER_WAY, Step.CLOSING) and not saved.trials[saved.current].attempts:
-            raise InputError(
-                f"{Path(folder) / STATE_FILE}: step '{saved.step}' needs an attempt; move the file "
-                "away to start a new session"
-            )
         protocol = cls(saved.plan, folder, effects, limits)
         protocol.trials = saved.trials
         protocol.current = saved.current
         protocol.ended = saved.ended
         protocol._now = protocol._step_stamp = now_ns
-        protocol.step = step
-        protocol.log = EventLog.load(protocol.folder)
+        protocol.step = step = saved.step
+        protocol.log = protocol.files.log = EventLog.load(protocol.folder)
         protocol._log("session", "the protocol was started again", of_trial=False)
         # A bag that is still being written belongs to the interrupted attempt.
         effects(StopRecording())
         if step in UNDER_WAY:
             protocol._conclude_failed("interrupted: the protocol ended during it")
             protocol._note_unmarked()
-            protocol.message = (
-                f"Restarted. Trial {protocol.current + 1} will begin again: press Space."
-            )
+            number = protocol.current + 1
+            protocol.message = f"Restarted. Trial {number} will begin again: press Space."
         elif step is Step.CLOSING:
             protocol._conclude_done()
         if step is Step.IDLE:
@@ -316,10 +215,8 @@ class Protocol:
             raise InputError("no session is running")
         if self.step in UNDER_WAY and self.step is not Step.MOISTURE_AFTER:
             self._fail("paused during the trial")
-        self.paused = True
         self._log("command", "paused")
-        self._announce()
-        self.save()
+        self._hold(self.message)
 
     def resume(self, now_ns: int) -> None:
         """Go on after a pause, or with the open trials of a session that was ended early."""
@@ -339,7 +236,7 @@ class Protocol:
         else:
             self._step_began = self._last_progress = now_ns
             self._announce()
-            self.save()
+            self.files.save()
 
     def redo(self, now_ns: int) -> None:
         """Begin the attempt under way again, or else the last trial that was finished."""
@@ -370,17 +267,13 @@ class Protocol:
             raise InputError("a trial is under way; finish, redo or skip it first")
         if not 0 <= index < len(self.trials):
             raise InputError(f"there is no trial {index}; give 0 to {len(self.trials) - 1}")
-        trial = self.trials[index]
-        for attempt in trial.attempts:
-            if attempt.verdict == "done":
-                attempt.verdict, attempt.reason = "superseded", "repeated by the operator"
-        trial.verdict = "pending"
+        self.trials[index].repeat()
         self.current = index
         self.paused = False
         self.message = ""
         self._enter(Step.PREPARE)
         self._log("command", "repeated by the operator")
-        self.save()
+        self.files.save()
 
     def skip(self, now_ns: int) -> None:
         """Leave the current trial out."""
@@ -418,7 +311,7 @@ class Protocol:
         self.message = ""
         if self.step in UNDER_WAY or self.step is Step.CLOSING:
             self._announce()
-            self.save()
+            self.files.save()
         else:
             self._enter(Step.FINISHED)
 
@@ -426,21 +319,19 @@ class Protocol:
         """Add a note to a trial (the newest attempt at it), or with −1 to the session."""
         self._now = now_ns
         line = note_text(text)
-        if not -1 <= index < len(self.trials):
-            raise InputError(
-                f"there is no trial {index}; give 0 to {len(self.trials) - 1}, or -1 for the "
-                "session"
-            )
+        last = len(self.trials) - 1
+        if not -1 <= index <= last:
+            raise InputError(f"there is no trial {index}; give 0 to {last}, or -1 for the session")
         attempt = max(len(self.trials[index].attempts) - 1, 0) if index >= 0 else -1
         self.log.add(Event(now_ns, "note", line, index, attempt))
-        self.save(state=self.step not in PRESSING)
+        self.files.save(state=self.step not in PRESSING)
 
     def mark(self, now_ns: int) -> str:
         """Mark this moment in the trial under way, else in the session; returns its name."""
         self._now = now_ns
         name = f"marker {sum(e.kind == 'marker' for e in self.log.events) + 1}"
         self._log("marker", name)
-        self.save(state=self.step not in PRESSING)
+        self.files.save(state=self.step not in PRESSING)
         return name
 
     def set_preparation(self, condition: str, text: str) -> None:
@@ -454,7 +345,7 @@ class Protocol:
             raise InputError("the preparation text must have 1 to 2000 characters")
         texts = {**self.plan.preparations, condition: text.strip()}
         self.plan = StudyPlan.from_dict({**self.plan.to_dict(), "preparations": texts})
-        self.save()
+        self.files.save()
 
     # Inputs ----------------------------------------------------------------------------------
 
@@ -495,46 +386,23 @@ class Protocol:
         """One moisture reading in a.u."""
         if self.paused or self.step not in (Step.MOISTURE_BEFORE, Step.MOISTURE_AFTER):
             return
-        early = seconds(self._step_began - stamp_ns)
-        # Tables have whole seconds.
-        if early > (0.0 if stamp_ns % NANOSECONDS else 1.0):
-            apart = self._inputs.clocks_apart()
-            as_late = abs(seconds(self._now - stamp_ns) - self._inputs.force_lag) <= 1.0
-            remedy = (
-                f"{apart}."
-                if apart and as_late
-                else "take another. If it was taken now, the clock of the probe is late."
-            )
-            self.message = (
-                f"Reading {value:g} is stamped {early:.1f} s before this step and does not count; "
-                f"{remedy}"
-            )
-            self._announce()
-            return
-        if not is_moisture(value):
-            low, high = MOISTURE_RANGE
-            self.message = (
-                f"Reading {value:g} is outside {low:g}–{high:g} a.u. and does not count; "
-                "take another."
-            )
-            self._announce()
-            return
-        if value < self.limits.least_moisture:
-            self.message = f"Reading {value:g}: no contact with the skin; take another."
+        self.message = self._inputs.refuse_reading(
+            value, stamp_ns, self._step_began, self._now, self.limits
+        )
+        if self.message:
             self._announce()
             return
         before = self.step is Step.MOISTURE_BEFORE
         readings = self._attempt.moisture_before if before else self._attempt.moisture_after
         readings.append(value)
         self._last_progress = self._now
-        self.message = ""
         if len(readings) >= self.plan.readings:
             step = "before" if before else "after"
             if warning := scattered(step, readings, self.limits.moisture_spread):
                 self._log("warning", warning)
             self._enter(Step.CLEAR) if before else self._close()
         else:
-            self.save()
+            self.files.save()
 
     def health(self, name: str, level: int, message: str, now_ns: int) -> None:
         """State of a device or node whose failure makes a trial invalid, from /diagnostics."""
@@ -553,18 +421,17 @@ class Protocol:
         where it is over by the time of the report.
         """
         self._now = max(self._now, now_ns)
-        if zero == self._zero:
+        shift = self._inputs.set_zero(zero)
+        if shift is None:
             return
-        shift, self._zero = _shift(self._zero, zero), zero
         self._log("command", f"force tared, zero at {zero}")
         just_over = (
             self.step in (Step.MOISTURE_AFTER, Step.CLOSING, Step.DONE)
             and seconds(self._now - self._lifted_at) <= ZERO_TOLD
         )
-        if self._press is None or not (self.step in PRESSING or just_over):
-            return
-        if shift > self.limits.zero_limit and self._press.fell_by(shift):
-            self._fail(self._press.with_problems("the zero was changed during the press"))
+        pressed = self._press if self.step in PRESSING or just_over else None
+        if pressed is not None and shift > self.limits.zero_limit and pressed.fell_by(shift):
+            self._fail(pressed.with_problems("the zero was changed during the press"))
 
     def recorder_writes(self, bag: str, now_ns: int) -> None:
         """What the recorder itself says that it writes, again and again; "no" for no bag."""
@@ -600,7 +467,7 @@ class Protocol:
         bag: those that are in it, and its path, where they are told.
         """
         self._now = max(self._now, now_ns)
-        self._mark_bags(left=True)
+        self.files.mark_bags(left=True)
         if not self.recording.stopped() or self.step is not Step.CLOSING:
             return
         if not success and self.limits.need_recorder:
@@ -624,8 +491,8 @@ class Protocol:
         waits = not self.paused or self.step in (Step.MOISTURE_AFTER, Step.CLOSING)
         if waits and self.step in self._waits:
             self._waits[self.step](seconds(self._now - self._step_began))
-        if self.step not in PRESSING and seconds(self._now - self._written_again) >= WRITE_AGAIN:
-            self._write_again()
+        if self.step not in PRESSING:
+            self.files.write_again(self._now)
 
     def _await_preparation(self, in_step: float) -> None:
         if self.plan.is_calibration:
@@ -686,9 +553,8 @@ class Protocol:
 
     def _await_fit(self, in_step: float) -> None:
         if self.fitting and in_step > FIT_TIME:
-            self.calibrated(
-                False, f"the model node gave no result within {FIT_TIME:.0f} s", self._now
-            )
+            late = f"the model node gave no result within {FIT_TIME:.0f} s"
+            self.calibrated(False, late, self._now)
 
     def calibrated(self, success: bool, result: str, now_ns: int) -> None:
         """What the model node made of the presses, in a sentence; a refusal ends the presses. There
@@ -703,7 +569,7 @@ class Protocol:
         self.message = f"Calibrated: {result}." if success else f"Not calibrated: {result}."
         self._log("calibration", self.message, of_trial=False)
         self._announce()
-        self.save()
+        self.files.save()
 
     def clock_stepped(self, step: float, warning: str) -> None:
         """Where the system clock stands, s from where it was when this node began, and the warning
@@ -783,62 +649,36 @@ class Protocol:
             self.recording.stop(self._now)
         elif closing:
             self._note_unmarked()
-            self._mark_bags()
+            self.files.mark_bags()
 
     def _note_unmarked(self) -> None:
         """The bag of the newest attempt is to say that it failed."""
-        self.unmarked.append((Path(self._attempt.bag), self._announcement(TrialPhase.FAILED)))
-
-    def _mark_bags(self, left: bool = False) -> None:
-        """Say in bags what became of their attempts, as far as they are closed. left: the recorder
-        writes none of them, also where one is not closed."""
-        self.unmarked = [
-            (bag, event)
-            for bag, event in self.unmarked
-            # The recorder may write it still.
-            if not ((left or (bag / METADATA).is_file()) and self._mark_in_bag(bag, event))
-        ]
-
-    def _mark_in_bag(self, bag: Path, event: TrialEvent) -> bool:
-        """Say in a bag what became of its attempt; false where that is to be tried again."""
-        if not bag.is_dir():
-            self._log("warning", f"{bag} is not there, and is not marked as failed")
-            return True
-        try:
-            mark_in_bag(bag, event)
-        except (OSError, InputError) as error:
-            text = f"{bag.name} is not marked as failed"
-            if not any(e.kind == "fault" and e.text.startswith(text) for e in self.log.events):
-                self._log("fault", f"{text}, which is tried again: {one_line(error)}")
-            return False
-        return True
+        failed = self._announcement(TrialPhase.FAILED)
+        self.files.unmarked.append((Path(self._attempt.bag), failed))
 
     def _hold(self, message: str) -> None:
         self.paused = True
         self.message = message
         self._announce()
-        self.save()
+        self.files.save()
 
     def _advance(self) -> bool:
         """Choose the current trial if it is open, else the first open one; false for none, and
         for a session that was ended.
         """
-        if self.ended:
+        pending = [t.index for t in self.trials if t.verdict == "pending"]
+        if self.ended or not pending:
             return False
-        if self.trials[self.current].verdict == "pending":
-            return True
-        for trial in self.trials:
-            if trial.verdict == "pending":
-                self.current = trial.index
-                return True
-        return False
+        if self.current not in pending:
+            self.current = pending[0]
+        return True
 
     def _next(self) -> None:
         if not self._advance():
             self._enter(Step.FINISHED)
             return
         attempts = self.trials[self.current].attempts
-        in_a_row = len([a for a in attempts if a.verdict == "failed"])
+        in_a_row = sum(a.verdict == "failed" for a in attempts)
         self._enter(Step.PREPARE)
         if in_a_row and in_a_row % self.limits.max_attempts == 0 and not self.paused:
             self._hold(
@@ -854,12 +694,8 @@ class Protocol:
             note = trial.attempts[-1].reason
         elif phase is TrialPhase.DONE:
             # With the last message of its bag, what was found and noted comes into the bag.
-            last = len(trial.attempts) - 1
-            events = self.log.of("note", trial.index, last) + self.log.of(
-                "marker", trial.index, last
-            )
-            found = [text for text in (trial.attempts[-1].found,) if text]
-            note = "; ".join([*found, *(f"{e.text} ({utc_time(e.stamp_ns)})" for e in events)])
+            remarks = self.log.remarks(trial.index, len(trial.attempts) - 1)
+            note = "; ".join(filter(None, [trial.attempts[-1].found, *remarks]))
         return TrialEvent(
             self._step_stamp if self.step in PRESSING else self._stamp(),
             self.plan.session,
@@ -914,4 +750,4 @@ class Protocol:
         self._log("step", step.value.replace("_", " "))
         # Of a session with thousands of trials that takes long, and the next cue must not wait. A
         # press that is interrupted begins again at whichever of its steps.
-        self.save(state=step not in PRESSING)
+        self.files.save(state=step not in PRESSING)

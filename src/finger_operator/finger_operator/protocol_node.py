@@ -56,7 +56,7 @@ from finger_msgs.srv import Record
 from .conditions import NAME
 from .limits import Limits
 from .normal_force import NormalForce, normal_axis_setting, wrench_topic_setting
-from .protocol import Effect, Protocol, Step
+from .protocol import Effect, Protocol
 from .readiness import TARE_NEEDED, refusal, tared_by
 from .recorder_requests import RecorderRequests
 from .recording import StartRecording, StopRecording
@@ -70,6 +70,7 @@ from .session_store import (
 )
 from .status import GIGABYTE, USUAL_SIZE, closed_status, session_status
 from .status_message import status_fields
+from .steps import Step
 from .study_plan import (
     PREPARATIONS,
     PlanSettings,
@@ -205,7 +206,7 @@ class ProtocolNode(ManagedNode):
         self.create_stream_subscription(Moisture, "moisture", self._on_moisture, qos)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
         self.create_subscription(DiagnosticStatus, "calibration", self._on_calibration, LATCHED_QOS)
-        if self._protocol is None or not self._protocol.save_problem:
+        if self._protocol is None or not self._protocol.files.problem:
             self._resume_pointer()  # else its state file is older than what is known here
         # Steady time, so that the tick continues when simulated time jumps.
         self.create_steady_timer(TICK, self._tick)
@@ -224,7 +225,7 @@ class ProtocolNode(ManagedNode):
         self._recorder.send_all()
         if self._protocol is not None:
             try:
-                self._protocol.write_all()
+                self._protocol.files.write_all()
             except InputError as error:
                 self.get_logger().error(one_line(error))
 
@@ -388,10 +389,10 @@ class ProtocolNode(ManagedNode):
         protocol = self._open()
         if protocol.step not in (Step.IDLE, Step.FINISHED, Step.PREPARE, Step.FAILED, Step.DONE):
             raise InputError("a trial is under way; finish, skip or pause it first")
-        protocol.write_all()
-        if protocol.unmarked and self._recorder.busy:
+        protocol.files.write_all()
+        if protocol.files.unmarked and self._recorder.busy:
             raise InputError("the recorder is still busy; try again in a moment")
-        unmarked = listed(bag.name for bag, _ in protocol.unmarked)
+        unmarked = listed(bag.name for bag, _ in protocol.files.unmarked)
         if unmarked:
             unmarked = f"; not marked as failed, leave out: {unmarked}"
             self.get_logger().error(f"session {protocol.plan.session}{unmarked}")

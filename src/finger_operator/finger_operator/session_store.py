@@ -27,6 +27,7 @@ from finger_common.subject_code import alike
 
 from .attempt import Attempt, TrialState
 from .event_log import EventLog
+from .steps import UNDER_WAY, Step
 from .study_plan import StudyPlan
 
 STATE_VERSION = 1
@@ -51,7 +52,7 @@ class SavedSession:
     """Contents of a state file."""
 
     plan: StudyPlan
-    step: str
+    step: Step
     paused: bool
     current: int
     trials: list[TrialState]
@@ -66,7 +67,7 @@ def save_state(folder: Path, session: SavedSession) -> None:
     state = {
         "version": STATE_VERSION,
         "plan": session.plan.to_dict(),
-        "step": session.step,
+        "step": session.step.value,
         "paused": session.paused,
         "current": session.current,
         "ended": session.ended,
@@ -89,8 +90,12 @@ def load_state(folder: Path) -> SavedSession:
             attempt.bag = str(folder / Path(attempt.bag).name)
         current = state["current"]
         _check(type(current) is int and 0 <= current < len(trials), "current", current)
-        step, paused, ended = str(state["step"]), bool(state["paused"]), state.get("ended", "")
-        return SavedSession(plan, step, paused, current, trials, str(ended))
+        _check(state["step"] in set(Step), "step", state["step"])
+        step = Step(state["step"])
+        recorded = step in UNDER_WAY or step is Step.CLOSING
+        _check(bool(trials[current].attempts) or not recorded, "step without attempt", step.value)
+        ended = str(state.get("ended", ""))
+        return SavedSession(plan, step, bool(state["paused"]), current, trials, ended)
     except (InputError, KeyError, TypeError, ValueError, AttributeError) as error:
         reason = str(error).removeprefix(f"{path}: ")
         if not isinstance(error, (InputError, ValueError)):

@@ -21,7 +21,8 @@ from finger_common.stamps import seconds
 
 from .attempt import TrialState, scattered
 from .event_log import Event
-from .protocol import Protocol, Step
+from .protocol import Protocol
+from .steps import Step
 from .study_plan import CLEAN_PLATE, CLEAN_PLATE_PULL, PlanSettings, preparation_of
 
 EVENTS_SHOWN = 60
@@ -224,8 +225,8 @@ def disk_status(protocol: Protocol, free: int | None, reserve: int = 0) -> dict[
 def _warnings(protocol: Protocol, disk: dict[str, Any], earlier_sessions: list[str]) -> list[str]:
     """Sentences that the operator should see, without effect on the trials."""
     found = []
-    if protocol.save_problem:
-        found.append(f"{protocol.save_problem}. Make room or give access; it is tried again.")
+    if protocol.files.problem:
+        found.append(f"{protocol.files.problem}. Make room or give access; it is tried again.")
     if disk["enough"] is False:
         number = disk["trials_left"]
         room = f"room for only {number} more {'trial' if number == 1 else 'trials'}"

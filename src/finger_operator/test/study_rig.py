@@ -11,8 +11,9 @@ from typing import Any
 from finger_bag.streams import TrialEvent
 from finger_common.trial_phases import TrialPhase
 from finger_operator.limits import Limits
-from finger_operator.protocol import Effect, Protocol, Step
+from finger_operator.protocol import Effect, Protocol
 from finger_operator.recording import StartRecording, StopRecording
+from finger_operator.steps import Step
 from finger_operator.study_plan import StudyPlan
 
 SECOND = 1_000_000_000

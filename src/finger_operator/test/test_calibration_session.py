@@ -14,8 +14,9 @@ import pytest
 from finger_bag.streams import TrialEvent
 from finger_common.guided_presses import CALIBRATION_PRESSES
 from finger_common.trial_phases import TrialPhase
-from finger_operator.protocol import FIT_TIME, GUIDANCE_TIME, Effect, Protocol, Step
+from finger_operator.protocol import FIT_TIME, GUIDANCE_TIME, Effect, Protocol
 from finger_operator.status import session_status
+from finger_operator.steps import Step
 from finger_operator.study_plan import StudyPlan
 
 SECOND = 1_000_000_000

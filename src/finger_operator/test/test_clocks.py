@@ -13,7 +13,7 @@ from study_rig import SECOND, START, Rig
 from finger_bag.streams import TrialEvent
 from finger_common.trial_phases import TrialPhase
 from finger_operator.limits import Limits
-from finger_operator.protocol import Step
+from finger_operator.steps import Step
 
 
 @pytest.mark.parametrize(("offset", "culprit"), [(-60, "restart all nodes"), (0, "of the probe")])

@@ -12,8 +12,8 @@ import pytest
 from study_rig import Rig, expect_failure
 
 from finger_operator.limits import Limits
-from finger_operator.protocol import Step
 from finger_operator.status import session_status
+from finger_operator.steps import Step
 
 
 def test_press_lifted_too_early_fails_and_is_redone(rig: Rig) -> None:

@@ -20,8 +20,9 @@ from finger_bag.streams import TrialEvent
 from finger_bag.writer import BagWriter
 from finger_common.trial_phases import TrialPhase
 from finger_operator.event_log import EventLog
-from finger_operator.protocol import Protocol, Step
+from finger_operator.protocol import Protocol
 from finger_operator.session_store import STATE_FILE
+from finger_operator.steps import Step
 
 
 def test_a_trial_that_failed_when_its_bag_was_closed_is_marked_in_the_bag(rig: Rig) -> None:
@@ -122,7 +123,7 @@ def test_a_bag_of_an_interrupted_attempt_that_is_gone_is_named_in_the_log(rig: R
 def test_bags_that_cannot_be_marked_are_marked_as_soon_as_they_can_be(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import finger_operator.protocol as module
+    import finger_operator.session_files as module
 
     def refuse(bag: Path, event: TrialEvent) -> None:
         raise OSError(28, f"No space left on device: {len(bags)}")
@@ -158,10 +159,10 @@ def test_a_bag_that_its_recorder_has_not_closed_is_not_marked_yet(rig: Rig) -> N
     again = Protocol.resume_from(rig.folder, rig.take, rig.now + SECOND, rig.limits)
     for second in range(2, 20):
         again.tick(rig.now + second * SECOND)
-    again.write_all()
-    assert len(list(bag.iterdir())) == 1 and again.unmarked
+    again.files.write_all()
+    assert len(list(bag.iterdir())) == 1 and again.files.unmarked
     (bag / "metadata.yaml").write_text(whole)
     again.recorder_stopped(True, "", rig.now + 20 * SECOND)
     with open_bag(bag) as reader:
         assert list(reader.messages())[-1].message.phase == TrialPhase.FAILED
-    assert not again.unmarked
+    assert not again.files.unmarked

@@ -12,7 +12,7 @@ from study_rig import Rig, expect_failure
 
 from finger_bag.streams import TrialEvent
 from finger_common.trial_phases import TrialPhase
-from finger_operator.protocol import Step
+from finger_operator.steps import Step
 
 
 @pytest.mark.parametrize(
@@ -123,5 +123,5 @@ def test_the_bag_of_a_trial_that_is_voided_late_says_so(tmp_path: Path) -> None:
     last = [e for e in rig.effects if isinstance(e, TrialEvent)][-1]
     assert last.phase is TrialPhase.FAILED and "zero" in last.note
     # As soon as the recorder has closed it.
-    (waits,) = rig.protocol.unmarked
+    (waits,) = rig.protocol.files.unmarked
     assert waits[0].name == "000_dry_0" and waits[1].phase is TrialPhase.FAILED

@@ -16,9 +16,10 @@ from finger_bag.streams import TrialEvent
 from finger_common.errors import InputError
 from finger_common.trial_phases import TrialPhase
 from finger_operator.limits import Limits
-from finger_operator.protocol import Protocol, Step
+from finger_operator.protocol import Protocol
 from finger_operator.recording import StartRecording, StopRecording
 from finger_operator.status import session_status
+from finger_operator.steps import Step
 
 
 def test_a_good_trial_goes_through_all_phases_and_is_recorded(rig: Rig) -> None:

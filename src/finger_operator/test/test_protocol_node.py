@@ -580,7 +580,7 @@ def test_a_session_that_cannot_be_saved_is_not_closed(
     ros_domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nor read again from its old file when the node is activated again."""
-    import finger_operator.protocol as module
+    import finger_operator.session_files as module
     from finger_common.errors import InputError
 
     def full(*_: Any) -> None:

@@ -16,8 +16,9 @@ from finger_bag.streams import TrialEvent
 from finger_common.flags import AreaFlag
 from finger_common.trial_phases import TrialPhase
 from finger_operator.limits import Limits
-from finger_operator.protocol import Protocol, Step
+from finger_operator.protocol import Protocol
 from finger_operator.status import session_status
+from finger_operator.steps import Step
 from finger_operator.study_plan import PREPARATIONS, StudyPlan
 
 SECOND = 1_000_000_000

@@ -15,7 +15,6 @@ from finger_bag.streams import TrialEvent
 from finger_bag.writer import BagWriter
 from finger_common.trial_phases import TrialPhase
 from finger_operator.limits import Limits
-from finger_operator.protocol import Step
 from finger_operator.recording import (
     LATE_REPORT,
     Recording,
@@ -25,6 +24,7 @@ from finger_operator.recording import (
     StopRecording,
 )
 from finger_operator.status import session_status
+from finger_operator.steps import Step
 
 TRIAL = TrialEvent(0, "S01_test", "S01", "dry", 0, 0, TrialPhase.MOISTURE_BEFORE, 1.35, "")
 

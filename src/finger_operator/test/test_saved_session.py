@@ -18,10 +18,11 @@ from finger_bag.streams import TrialEvent
 from finger_common.errors import InputError
 from finger_operator.event_log import EventLog
 from finger_operator.limits import Limits
-from finger_operator.protocol import Effect, Protocol, Step
+from finger_operator.protocol import Effect, Protocol
 from finger_operator.recording import StopRecording
 from finger_operator.session_store import STATE_FILE
 from finger_operator.status import session_status
+from finger_operator.steps import Step
 from finger_operator.study_plan import StudyPlan
 
 
@@ -30,7 +31,7 @@ def test_no_cue_of_a_press_waits_for_the_state_of_a_long_session(
 ) -> None:
     saved: list[Step] = []
     monkeypatch.setattr(
-        "finger_operator.protocol.save_state", lambda folder, state: saved.append(Step(state.step))
+        "finger_operator.session_files.save_state", lambda folder, state: saved.append(state.step)
     )
     rig.trial()
     assert saved[:2] == [Step.MOISTURE_BEFORE] * 2 and saved[-1] is Step.DONE
@@ -71,7 +72,7 @@ def test_crash_at_any_moment_resumes_at_the_same_trial(tmp_path: Path, when: str
                 rig.run(2.5 if when == "finished" else 0.2)
     assert rig.protocol.step.value == when
     before = json.loads((rig.folder / "session.json").read_text()) if when != "idle" else None
-    rig.protocol.save()
+    rig.protocol.files.save()
     effects: list[Effect] = []
     again = Protocol.resume_from(rig.folder, effects.append, rig.now + 60 * SECOND, rig.limits)
     assert effects[0] == StopRecording(), "what the recorder still writes is closed"
@@ -136,10 +137,22 @@ def test_unusable_state_file_is_refused_in_one_sentence(tmp_path: Path, text: st
         Protocol.resume_from(tmp_path, lambda effect: None, START)
 
 
+@pytest.mark.parametrize(
+    ("step", "reason"),
+    [("nowhere", "step is 'nowhere'"), ("lift", "step without attempt is 'lift'")],
+)
+def test_a_step_that_cannot_be_is_refused_with_the_remedy(rig: Rig, step: str, reason: str) -> None:
+    path = rig.folder / STATE_FILE
+    path.write_text(json.dumps({**json.loads(path.read_text()), "step": step}))
+    whole = f"{path}: not a session state ({reason}); move it away to start a new session"
+    with pytest.raises(InputError, match=re.escape(whole)):
+        Protocol.resume_from(rig.folder, rig.take, rig.now)
+
+
 def test_session_goes_on_and_warns_while_its_folder_cannot_be_written(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import finger_operator.protocol as module
+    import finger_operator.session_files as module
 
     def full(*_: Any) -> None:
         raise OSError(28, "No space left on device")
@@ -157,7 +170,7 @@ def test_session_goes_on_and_warns_while_its_folder_cannot_be_written(
 def test_a_finished_session_is_saved_as_soon_as_it_can_be(
     rig: Rig, monkeypatch: pytest.MonkeyPatch, refused: str
 ) -> None:
-    import finger_operator.protocol as module
+    import finger_operator.session_files as module
 
     def refuse(*_: Any) -> None:
         raise InputError("no room")
@@ -170,7 +183,7 @@ def test_a_finished_session_is_saved_as_soon_as_it_can_be(
         rig.protocol.end(rig.now)
         rig.run(12.0)
         with pytest.raises(InputError, match=r"cannot be saved in .*no room; make room"):
-            rig.protocol.write_all()
+            rig.protocol.files.write_all()
     assert session_status(rig.protocol)["warnings"]
     rig.run(6.0)
     assert rig.protocol.step is Step.FINISHED and session_status(rig.protocol)["warnings"] == []
@@ -178,13 +191,13 @@ def test_a_finished_session_is_saved_as_soon_as_it_can_be(
     assert [e.text for e in EventLog.load(rig.folder).of("note")] == ["the window is open"]
     with (rig.folder / "trials.csv").open() as file:
         assert [row["verdict"] for row in csv.DictReader(file)] == ["done"]
-    rig.protocol.write_all()
+    rig.protocol.files.write_all()
 
 
 def test_the_log_of_a_press_hides_no_state_that_could_not_be_saved(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import finger_operator.protocol as module
+    import finger_operator.session_files as module
 
     def full(*_: Any) -> None:
         raise OSError(28, "No space left on device")
@@ -193,7 +206,7 @@ def test_the_log_of_a_press_hides_no_state_that_could_not_be_saved(
     rig.to_press()
     rig.run(0.5, 0.7, ramp=True)
     rig.protocol.mark(rig.now)
-    assert rig.protocol.step is Step.PRESS and "No space left" in rig.protocol.save_problem
+    assert rig.protocol.step is Step.PRESS and "No space left" in rig.protocol.files.problem
 
 
 def test_state_of_an_older_version_without_the_newer_fields_is_read(rig: Rig) -> None:

@@ -101,7 +101,7 @@ def test_size_of_a_bag_is_measured_when_the_trial_is_kept(rig: Rig) -> None:
 
 
 def test_subject_codes_that_were_used_are_found_and_warned_of(rig: Rig, tmp_path: Path) -> None:
-    rig.protocol.save()
+    rig.protocol.files.save()
     (tmp_path / "broken").mkdir()
     (tmp_path / "broken" / STATE_FILE).write_text("{")
     assert sessions_by_subject(saved_plans(tmp_path)) == {"S01": ["session"]}
@@ -111,7 +111,7 @@ def test_subject_codes_that_were_used_are_found_and_warned_of(rig: Rig, tmp_path
 
 @pytest.mark.parametrize("code", ["S01", "s01", "S1", "S001"])
 def test_codes_that_may_be_one_person_are_warned_of(rig: Rig, tmp_path: Path, code: str) -> None:
-    rig.protocol.save()
+    rig.protocol.files.save()
     used = sessions_by_subject(saved_plans(tmp_path))
     plan = StudyPlan(code, "another")
     named = "session" if code == "S01" else "session as S01"

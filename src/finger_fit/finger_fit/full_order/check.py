@@ -43,11 +43,6 @@ class FullOrderCheck:
     gain: float
 
     @property
-    def final(self) -> bool:
-        """Whether the fit is final."""
-        return not self.reasons
-
-    @property
     def reasons(self) -> list[str]:
         """Why the fit is not final; empty where it is."""
         if not np.isfinite(self.rms_difference):

@@ -33,6 +33,10 @@ OPEN, STICK, SLIP = 0, 1, 2
 TOLERANCE = 1e-8
 """Residual, relative to the plate's force, at which an iteration has converged."""
 ITERATIONS = 40
+HALVINGS = 6
+"""Times that a step is halved before none is found."""
+BUCKLES = "the tangent stiffness is not positive definite (the tissue buckles)"
+INSIDE_OUT = "elements turn inside out"
 
 STEP_LOCK = threading.Lock()
 """Held while a step is computed: a solver has work arrays, and threads may share a model."""
@@ -70,6 +74,23 @@ class ContactSet(NamedTuple):
     active: np.ndarray
     sticking: np.ndarray
     slipping: np.ndarray
+
+
+@dataclass
+class _Move:
+    """A step of Newton's method: of the nodes (N, 2) and of the plate, in m."""
+
+    nodes: np.ndarray
+    plate: float
+    halvings: int = 0
+
+    def undo_half(self, x: np.ndarray, contact: Contact) -> np.ndarray:
+        """Take half of a step that was too long back; the positions (N, 2) then."""
+        self.halvings += 1
+        self.nodes = 0.5 * self.nodes
+        self.plate *= 0.5
+        contact.height -= self.plate
+        return x - self.nodes
 
 
 class Tangent:
@@ -166,6 +187,29 @@ class Tangent:
         displacements[:, self.zdof] += rise[:, None]
         return displacements, rise, reaction
 
+    def newton(
+        self, force: np.ndarray, closing: np.ndarray, target: float, longest: float
+    ) -> tuple[_Move, np.ndarray]:
+        """Step of at most `longest` (m) towards equilibrium, and the reactions (k,) after it.
+
+        force (n,): not balanced yet; closing (k,): displacements (m) that are missing at the held
+        contact unknowns; target: force of the plate (N/rad), if it is given. Raises NotConverged.
+        """
+        known = self.force_of(closing)
+        displacements, rises, reactions = self.respond(
+            -(force + known)[None, :], np.array([target])
+        )
+        step, rise = displacements[0], float(rises[0])
+        step[self.dofs] += closing
+        largest = float(np.abs(step).max())
+        if not math.isfinite(largest):
+            raise NotConverged("the linear system is singular")
+        if largest > longest:
+            limit = longest / largest
+            step = limit * step
+            rise *= limit
+        return _Move(step.reshape(-1, 2), rise), reactions[0]
+
 
 @dataclass
 class Equilibrium:
@@ -239,25 +283,22 @@ class Equilibrium:
         self.residuals = []
         changed = True
         previous = math.inf
-        step: np.ndarray | None = None
-        halvings = 0
-        rise = 0.0
+        move: _Move | None = None
         for iteration in range(ITERATIONS):
             smallest_volume = self.assemble(x, material.stiffness(x))
-            force = self.force
             nodes = self.contact_set(contact)
-            zdof, rdof = self.axial[nodes.active], self.radial[nodes.sticking]
             gap = contact.height - x[self.mesh.surface[nodes.active], 1]
             drift = contact.reference[nodes.sticking] - x[self.mesh.surface[nodes.sticking], 0]
-            total = float(force[zdof].sum())
+            closing = np.concatenate([gap, drift])
+            total = float(self.force[self.axial[nodes.active]].sum())
             scale = max(target, abs(total), smallest_scale)
             norm, mismatch = math.inf, 0.0
             if smallest_volume > 0:
                 missing = target - total if load is not None else 0.0
                 unbalanced = float(np.linalg.norm(self._residual(contact, nodes, friction)))
                 norm = math.hypot(unbalanced, missing) / scale
-                mismatch = float(np.abs(np.concatenate([gap, drift, [0.0]])).max()) / length
-            overshot = step is not None and norm > 4.0 * previous and norm > 1e-3 and not changed
+                mismatch = float(np.abs(closing).max(initial=0.0)) / length
+            overshot = move is not None and norm > 4.0 * previous and norm > 1e-3 and not changed
             tangent = None
             if math.isfinite(norm) and not overshot:
                 # Rounding of nearly incompressible tissue may end progress a little above the
@@ -269,45 +310,23 @@ class Equilibrium:
                     return x, contact
                 tangent = Tangent(self, nodes, friction * contact.direction, load is not None)
             if tangent is None or not tangent.stable:
-                # Too long a step: half of it is undone.
-                if step is None or halvings >= 6:
-                    cause = "the tangent stiffness is not positive definite (the tissue buckles)"
-                    if tangent is None:
-                        inside_out = smallest_volume <= 0 or math.isfinite(norm)
-                        cause = "elements turn inside out" if inside_out else material.no_stress
-                    raise NotConverged(cause)
-                halvings += 1
-                step = 0.5 * step
-                x = x - step
-                rise *= 0.5
-                contact.height -= rise
+                if move is None or move.halvings >= HALVINGS:
+                    if tangent is not None:
+                        raise NotConverged(BUCKLES)
+                    inside_out = smallest_volume <= 0 or math.isfinite(norm)
+                    raise NotConverged(INSIDE_OUT if inside_out else material.no_stress)
+                x = move.undo_half(x, contact)
                 continue
-            halvings = 0
             self.residuals.append(norm)
             previous = norm
-
-            known = tangent.force_of(np.concatenate([gap, drift]))
-            displacements, rises, reactions = tangent.respond(
-                -(force + known)[None, :], np.array([target])
-            )
-            step, rise = displacements[0], float(rises[0])
-            step[zdof] += gap
-            step[rdof] += drift
-            step = step.reshape(-1, 2)
-            largest = float(np.abs(step).max())
-            if not math.isfinite(largest):
-                raise NotConverged("the linear system is singular")
-            if largest > 0.1 * length:
-                limit = 0.1 * length / largest
-                step = limit * step
-                rise *= limit
-            x = x + step
-            contact.height += rise
+            move, reactions = tangent.newton(self.force, closing, target, 0.1 * length)
+            x = x + move.nodes
+            contact.height += move.plate
             changed = pressed and self._update_set(
                 x,
                 contact,
                 nodes,
-                reactions[0],
+                reactions,
                 friction,
                 force_tolerance=1e-10 * scale,
                 keep_one=load is not None,
