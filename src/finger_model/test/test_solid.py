@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 
 from finger_common.cli import run
-from finger_common.errors import InputError
+from finger_common.errors import InputError, ModelError
 from finger_model.cli import _main
 from finger_model.fem.equilibrium import SLIP, STICK, NotConverged
 from finger_model.fem.full_order import FullOrderModel
 from finger_model.geometry import Geometry
 from finger_model.laws import GeneralizedMaxwell2, StandardLinearSolid
 from finger_model.pose.pose import Pose
-from finger_model.solid3d import contact_shape, elements, equilibrium
+from finger_model.solid3d import contact_shape, elements, equilibrium, full_order
 from finger_model.solid3d.condensation import Condensation, NotPositive
-from finger_model.solid3d.contact import Plate
+from finger_model.solid3d.contact import Plate, Sliding
 from finger_model.solid3d.contact_shape import node_areas, outline
 from finger_model.solid3d.full_order import SOLID_CSV_HEADER, SolidModel
 from finger_model.solid3d.mesh import MeshSize, solid_mesh
@@ -206,6 +206,90 @@ def test_a_plate_that_slides_from_first_touch_on_is_followed(model, friction):
     held = stepper.step(6.0, 0.5, (0.9 * 0.5 * friction, 0.0))
     assert not stepper.sliding and held.stick_ratio > 0.5
     laws_hold(stepper, friction)
+
+
+def pressed(model, law, load=0.6):
+    """A finger pressed in two steps, and a function that pulls it by shares of its friction, a
+    step each, and gives the points."""
+    stepper = model.start(law)
+    for k in (1, 2):
+        stepper.step(0.25 * k, 0.5 * k * load)
+
+    def pull(*shares, load=load):
+        bound = law.friction * load
+        return [
+            stepper.step(stepper.state.time + 0.05, load, (share * bound, 0.0)) for share in shares
+        ]
+
+    return stepper, pull
+
+
+@pytest.mark.parametrize("share", [0.985, 0.9999])
+def test_a_pull_just_below_friction_leaves_no_skin_that_sticks(model, monkeypatch, share):
+    """The skin spreads while it slips, not along the pull alone: all of it slips below μP. It took
+    minutes, and found nothing."""
+    monkeypatch.setattr(full_order, "SMALLEST_CUT", 0.2)
+    law = StandardLinearSolid()
+    stepper, pull = pressed(model, law)
+    before = pull(0.5, 0.9, 0.97)[-1]
+    assert 0.0 < before.stick_ratio < 0.2
+    slid, held, beyond = pull(share, share, 1.2)
+    assert slid.stick_ratio == 0.0
+    assert slid.slip_margin == pytest.approx(1.0 - share)
+    assert slid.tangential_x == pytest.approx(share * law.friction * 0.6, rel=0.05)
+    assert 1.0 < slid.shift_x / before.shift_x < 1.25
+    assert held.shift_x == beyond.shift_x == slid.shift_x
+    assert held.stick_ratio == beyond.stick_ratio == beyond.slip_margin == 0.0
+    # As the pull falls and turns, the plate goes back as it does from a slide beyond friction.
+    back = pull(0.5, 0.0, -0.5, -1.2)
+    _, other = pressed(model, law)
+    other(0.5, 0.9, 0.97, 1.0, 1.0, 1.0)
+    for found, expected in zip(back, other(0.5, 0.0, -0.5, -1.2), strict=True):
+        assert found.shift_x == pytest.approx(expected.shift_x, abs=2e-6)
+        assert found.stick_ratio == pytest.approx(expected.stick_ratio, abs=0.01)
+    assert stepper.sliding and back[-1].tangential_x < 0.0 == back[-1].slip_margin
+
+
+def test_a_plate_that_slides_stays_where_the_slide_began(model):
+    """Tissue creeps under friction, and took the plate with it by a fifth of its way."""
+    _, pull = pressed(model, StandardLinearSolid())
+    first, *held = pull(0.9, 1.2, 1.2, 1.3, 1.2)[1:]
+    assert [point.shift_x for point in held] == [first.shift_x] * 3
+    # More force bends the skin further.
+    assert pull(1.2, load=0.8)[0].shift_x > 1.1 * first.shift_x
+    back, again = pull(-1.2, -1.2)
+    assert back.shift_x < 0.0 and again.shift_x == back.shift_x
+
+
+def test_a_pull_within_friction_that_finds_no_balance_names_the_cause(model, monkeypatch):
+    stepper, pull = pressed(model, StandardLinearSolid())
+    before = stepper.state
+
+    def slides(*_):
+        raise Sliding
+
+    monkeypatch.setattr(model.equilibrium, "solve", slides)
+    with pytest.raises(ModelError, match=r"no skin sticks .* not used up; lower the pull") as error:
+        pull(0.5)
+    assert "stiffer moduli" not in str(error.value)
+    assert stepper.state is before
+
+
+def test_without_friction_nothing_is_said_of_slip(model):
+    law = StandardLinearSolid(friction=0.0)
+    found = model.simulate(law, [0.2, 0.5], [0.3, 0.6], [0.0, 0.0])
+    assert found.area.min() > 0.0
+    assert np.isnan(found.stick_ratio).all() and np.isnan(found.slip_margin).all()
+    # Rounding of the force along the plate pulled it by 12 µm.
+    assert np.abs(found.shift_x).max() < 1e-12
+
+
+@pytest.mark.parametrize(
+    "pull", [np.zeros((2, 1)), np.zeros(3), np.zeros((2, 3)), 0.1, "ab", [[0.1], [0.1, 0.2]]]
+)
+def test_tangential_forces_of_another_shape_are_refused(model, pull):
+    with pytest.raises(InputError, match=r"tangential force.*; give"):
+        model.simulate(StandardLinearSolid(), [0.0, 1.0], [0.1, 0.1], pull)
 
 
 def test_sticking_skin_may_hang_on_a_spring():
@@ -393,7 +477,9 @@ def test_command_with_tangential_force_ellipse_and_tilt(tmp_path, capsys):
         assert words in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("pose", [(5.0, 0.0), (1.0, 2.0), (1.0, math.nan)])
+@pytest.mark.parametrize(
+    "pose", [(5.0, 0.0), (1.0, 2.0), (1.0, math.nan), ("1.2", 0.0), (1.0, None), (True, 0.0)]
+)
 def test_impossible_pose_is_refused(pose):
     with pytest.raises(InputError):
         Pose(*pose)

@@ -91,20 +91,22 @@ class View:
     """A board found in an image.
 
     name: of the image. points, pixels: corners on the board (n, 3) m and in the image (n, 2) px.
-    size: (width, height) of the image.
+    size: (width, height) of the image. mirrored: whether the image shows the board's printed side
+    mirrored; None where the board looks the same in a mirror.
     """
 
     name: str
     points: np.ndarray
     pixels: np.ndarray
     size: tuple[int, int]
+    mirrored: bool | None = None
 
 
 def find_board(image: np.ndarray, board: Board, name: str = "image") -> View | None:
     """The board in an image (H, W) uint8, None when too little of it is visible.
 
-    A mirrored view (through a prism) is found too: a checkerboard as it is, a ChArUco board by
-    flipping the image.
+    A mirrored view (by a mirror or a prism) is found too: a checkerboard as it is, since it is its
+    own mirror image, a ChArUco board by flipping the image.
     """
     height, width = image.shape
     if board.kind == "checkerboard":
@@ -126,5 +128,5 @@ def find_board(image: np.ndarray, board: Board, name: str = "image") -> View | N
                 pixels[:, 0] = width - 1 - pixels[:, 0]
             points = board.corners[np.asarray(ids).ravel()]
             if len(np.unique(points[:, 0])) > 1 and len(np.unique(points[:, 1])) > 1:
-                return View(name, points, pixels, (width, height))
+                return View(name, points, pixels, (width, height), mirrored)
     return None

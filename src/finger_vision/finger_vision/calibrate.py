@@ -44,12 +44,17 @@ class CalibrationReport:
 
 
 def calibrate_plate(
-    views: Sequence[View], plate_views: Sequence[View], camera_name: str = "", lens: bool = True
+    views: Sequence[View],
+    plate_views: Sequence[View],
+    camera_name: str = "",
+    lens: bool = True,
+    mirrored: bool = False,
 ) -> CalibrationReport:
     """Calibrate from all `views` and those of the board on the plate.
 
-    lens: False for the homography alone, from `plate_views`, without lens distortion. Raises
-    InputError with the reason for views that do not determine the calibration.
+    lens: False for the homography alone, from `plate_views`, without lens distortion. mirrored:
+    whether the camera's pictures are mirrored, for boards that do not tell it. Raises InputError
+    with the reason for views that do not determine the calibration.
     """
     if not plate_views:
         raise InputError(
@@ -65,11 +70,28 @@ def calibrate_plate(
             )
     camera, errors = _lens(views, size) if lens else (PlateCalibration(image_size=size), {})
     calibration = replace(
-        _plate(camera, plate_views, size),
+        _plate(camera, plate_views, size, _mirrored([*views, *plate_views], mirrored)),
         camera_name=camera_name,
         date=datetime.now(timezone.utc).isoformat(timespec="seconds"),
     )
     return CalibrationReport(calibration, errors)
+
+
+def _mirrored(views: Sequence[View], given: bool) -> bool:
+    """Whether the pictures are mirrored, as the boards tell or else as `given`; raises InputError
+    where boards contradict one another, or what is given."""
+    told = {view.mirrored: view.name for view in views if view.mirrored is not None}
+    if len(told) > 1:
+        raise InputError(
+            f"{told[True]} shows the board mirrored, {told[False]} as it is printed; turn the "
+            "printed side to the camera in all views, and use views of one camera"
+        )
+    if given and False in told:
+        raise InputError(
+            f"{told[False]} shows the board as it is printed, so the picture is not mirrored; "
+            "leave out --mirrored"
+        )
+    return given or True in told
 
 
 def _lens(
@@ -137,7 +159,7 @@ def _cover(views: Sequence[View], size: tuple[int, int]) -> float:
 
 
 def _plate(
-    base: PlateCalibration, views: Sequence[View], size: tuple[int, int]
+    base: PlateCalibration, views: Sequence[View], size: tuple[int, int], mirrored: bool
 ) -> PlateCalibration:
     """The homography from undistorted pixels to the plate, averaged over the views."""
     cover = _cover(views, size)
@@ -155,7 +177,7 @@ def _plate(
     for view in views:
         undistorted = base.undistort(view.pixels)
         sources.append(undistorted)
-        targets.append(_in_plate_frame(undistorted, view.points[:, :2], centre, view.name))
+        targets.append(_in_plate_frame(undistorted, view, centre, mirrored))
     homography = _fit(np.concatenate(sources), np.concatenate(targets), "plate views")
     residual = apply_homography(homography, np.concatenate(sources)) - np.concatenate(targets)
     plate_error = float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
@@ -189,17 +211,19 @@ def _plate(
 
 
 def _in_plate_frame(
-    pixels: np.ndarray, board: np.ndarray, centre: np.ndarray, name: str
+    pixels: np.ndarray, view: View, centre: np.ndarray, mirrored: bool
 ) -> np.ndarray:
     """Board points (n, 2) m in the plate frame: origin at the optical axis, x along the image's x.
 
-    y points down in the image.
+    y points down in the image, and up in a mirrored one: with z away from the camera the frame is
+    right-handed on the plate itself.
     """
-    homography = _fit(pixels, board, name)
+    board = view.points[:, :2]
+    homography = _fit(pixels, board, view.name)
     origin, right, below = apply_homography(homography, centre + np.array([[0, 0], [1, 0], [0, 1]]))
     along = (right - origin) / np.linalg.norm(right - origin)
     across = np.array([-along[1], along[0]])
-    if across @ (below - origin) < 0:
+    if (across @ (below - origin) < 0) != mirrored:
         across = -across
     return (board - origin) @ np.column_stack([along, across])
 

@@ -5,8 +5,9 @@
 
 Lens distortion is removed from a pixel (Zhang's camera model as in OpenCV and
 sensor_msgs/CameraInfo, "plumb_bob"), then a homography maps it to the plate frame: origin where
-the optical axis meets the plate, x right and y down in the rectified image, metres. A plain area
-per pixel is the same without tilt and lens; areas measured with it are flagged.
+the optical axis meets the plate, x right and y down in the rectified image, metres. In a picture
+that a mirror or prism mirrors y is up, so that the frame is right-handed on the plate. A plain area
+per pixel is the same without tilt, lens and mirror; areas measured with it are flagged.
 """
 
 from __future__ import annotations
@@ -84,6 +85,15 @@ class PlateCalibration:
     def calibrated(self) -> bool:
         """Whether the plate's homography is known."""
         return self.plate_from_pixel is not None
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether the picture shows the plate mirrored: its y is up then."""
+        if self.plate_from_pixel is None or self.image_size is None:
+            return False
+        middle = np.array(self.image_size) / 2 + np.array([[0, 0], [1, 0], [0, 1]])
+        origin, right, below = apply_homography(self.plate_from_pixel, middle)
+        return bool(np.linalg.det([right - origin, below - origin]) < 0)
 
     # Geometry --------------------------------------------------------------------------------
 
@@ -190,9 +200,11 @@ class PlateCalibration:
         for key in ("reprojection_error", "plate_error"):
             if math.isfinite(getattr(self, key)):
                 data[key] = float(getattr(self, key))
+        mirrored = "# The picture is mirrored: the plate's y points up in it.\n"
         return (
             "# Plate calibration. area_per_pixel: m^2 of a rectified pixel. plate_homography:\n"
             "# undistorted pixels to m on the plate. reprojection_error: px, plate_error: m; RMS.\n"
+            + (mirrored if self.mirrored else "")
             + yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=100)
         )
 

@@ -127,6 +127,11 @@ def _add_calibrate(commands: Any) -> None:
         action="store_true",
         help="calibrate the homography only, without lens distortion",
     )
+    calibrate.add_argument(
+        "--mirrored",
+        action="store_true",
+        help="a mirror or prism mirrors the camera's picture; a ChArUco board tells it itself",
+    )
     calibrate.add_argument("--topic", default="image_raw", help="topic of the images in a bag")
     calibrate.add_argument(
         "--every",
@@ -163,7 +168,9 @@ def _calibrate(arguments: Any) -> int:
     )
     on_plate = _views(arguments.on_plate, board, arguments)
     views = [] if arguments.no_lens else _views(arguments.views, board, arguments) + on_plate
-    report = calibrate_plate(views, on_plate, arguments.camera_name, lens=not arguments.no_lens)
+    report = calibrate_plate(
+        views, on_plate, arguments.camera_name, not arguments.no_lens, arguments.mirrored
+    )
     calibration = report.calibration
     calibration.save(arguments.output)
     for name, error in report.view_errors.items():
@@ -173,6 +180,15 @@ def _calibrate(arguments: Any) -> int:
         f"{calibration.plate_error * 1e6:.1f} µm; {calibration.area_per_pixel * 1e6:.6f} mm² per "
         "rectified pixel"
     )
+    if calibration.mirrored:
+        print("the picture is mirrored: y of the plate points up in it")
+    elif board.kind == "checkerboard":
+        print(
+            "taken as not mirrored, which a checkerboard does not tell: give --mirrored if a "
+            "mirror or prism mirrors the picture"
+        )
+    else:
+        print("the picture is not mirrored: y of the plate points down in it")
     print(f"written to {plain(arguments.output)}")
     return 0
 

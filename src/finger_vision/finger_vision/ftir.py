@@ -307,7 +307,10 @@ class FtirSegmenter(AreaSensor):
         if in_doubt > ONE_GREY or _is_saturated(frame, ridges):
             flags |= AreaFlag.SATURATED
         area_sd, rim = self._standard_deviation(shape, doubt), self._rim_deviation(shape)
-        centroid_sd, major_sd, minor_sd, angle_sd = ellipse_deviations(shape, area_sd, rim)
+        # How much of a contact lies outside the picture is not known.
+        centroid_sd, major_sd, minor_sd, angle_sd = (
+            (math.nan,) * 4 if flags & AreaFlag.CLIPPED else ellipse_deviations(shape, area_sd, rim)
+        )
         measurement = ContactMeasurement(
             gross_area=shape.area,
             real_area=min(real_area, shape.area),
@@ -424,15 +427,17 @@ def ellipse_deviations(
 
     area_sd: of the area, m². rim: the part of it that is of independent errors along the outline;
     they move the moments of an ellipse as integrals along its rim say. All else is common and
-    scales the ellipse.
+    scales the ellipse. They make an ellipse of a circle, too: by what they add on average to
+    (a² − b²)² the contact is rounder than it looks.
     """
     share = rim / shape.area
     common = math.sqrt(max(area_sd**2 - rim**2, 0.0)) / shape.area / 2
     a, b = shape.major / 2, shape.minor / 2
-    turn = math.sqrt(2) * share * a * b / max(a * a - b * b, 1e-12)
+    noise = math.sqrt(8) * share * a * b  # of the two components of a² − b²
+    longer = math.sqrt(max((a * a - b * b) ** 2 - 2 * noise**2, 0.0))
     axis = math.hypot(math.sqrt(0.75) * share, common)
     # No direction is known of a circle.
-    angle = min(turn, math.pi / math.sqrt(12))
+    angle = min(noise / 2 / max(longer, 1e-12), math.pi / math.sqrt(12))
     return share * math.sqrt(a * b / 2), shape.major * axis, shape.minor * axis, angle
 
 

@@ -168,11 +168,58 @@ def test_area_per_pixel_is_that_of_a_pixel_on_the_optical_axis(calibrated) -> No
     assert square == pytest.approx(4e-6, rel=2e-2)
 
 
-def test_mirrored_board_calibrates_as_well() -> None:
-    report = calibrate_plate(*views_of(CHARUCO, mirrored=True))
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("board", [CHARUCO, CHECKERS], ids=["charuco", "checkerboard"])
+def test_plate_frame_is_right_handed_also_in_a_mirrored_picture(board: Board, mirrored) -> None:
+    """The printed side lies on the glass and is seen through it: x right, y down and z away from
+    the camera are right-handed on it. In a mirror what is right appears on the left."""
+    given = mirrored and board is CHECKERS  # which looks the same in a mirror
+    report = calibrate_plate(*views_of(board, mirrored=mirrored), mirrored=given)
+    calibration = report.calibration
     points, pixels = true_plate_points()
-    seen = report.calibration.to_plate(pixels, *SIZE)
+    if mirrored:
+        points = points * (-1, 1)
+    seen = calibration.to_plate(pixels, *SIZE)
     assert np.abs(distances(seen) - distances(points)).max() < 20e-6
+    turn = np.linalg.lstsq(points - points.mean(axis=0), seen - seen.mean(axis=0), rcond=None)[0]
+    assert np.linalg.det(turn) == pytest.approx(1.0, abs=5e-3)
+    # x stays right in the picture.
+    middle = calibration.camera_matrix[:2, 2]
+    axis, right = calibration.to_plate(middle + np.array([[0, 0], [10, 0]]), *SIZE)
+    assert right[0] - axis[0] > 50 * abs(right[1] - axis[1])
+    again = PlateCalibration.from_yaml(calibration.to_yaml(), "plate.yaml")
+    assert calibration.mirrored is again.mirrored is mirrored
+
+
+def test_boards_that_contradict_one_another_about_the_mirror_are_refused() -> None:
+    views, _ = views_of(CHARUCO)
+    _, mirrored = views_of(CHARUCO, mirrored=True)
+    with pytest.raises(InputError, match=r"plate shows the board mirrored, .* printed side"):
+        calibrate_plate(views[:-1], mirrored)
+    with pytest.raises(InputError, match=r"as it is printed, .* leave out --mirrored"):
+        calibrate_plate(*views_of(CHARUCO), mirrored=True)
+
+
+@pytest.mark.parametrize(
+    ("board", "mirrored", "options", "words"),
+    [
+        (CHARUCO, False, [], "the picture is not mirrored"),
+        (CHARUCO, True, [], "y of the plate points up"),
+        (CHECKERS, True, ["--mirrored"], "y of the plate points up"),
+        (CHECKERS, True, [], "which a checkerboard does not tell: give --mirrored"),
+    ],
+)
+def test_command_says_whether_the_picture_is_mirrored(
+    tmp_path: Path, capsys, board: Board, mirrored: bool, options: list[str], words: str
+) -> None:
+    picture, out = tmp_path / "flat.png", tmp_path / "plate.yaml"
+    cv2.imwrite(str(picture), photograph(board, *PLATE_POSE, mirrored, distortion=np.zeros(5)))
+    arguments = ["calibrate", "--no-lens", "--on-plate", str(picture), "--board", board.kind]
+    for name in ("columns", "rows", "square", "marker"):
+        arguments += [f"--{name}", str(getattr(board, name))]
+    assert main([*arguments, "-o", str(out), *options]) == 0
+    assert words in capsys.readouterr().out
+    assert PlateCalibration.load(out).mirrored is ("up" in words)
 
 
 def test_homography_alone_serves_a_lens_without_distortion() -> None:

@@ -18,9 +18,9 @@ from finger_common.flags import AreaFlag
 from finger_sim.ftir import AREA_PER_PIXEL, SKINS, Contact, FtirRenderer, RenderedFrame, Scene
 from finger_vision.area_sensor import NoLight
 from finger_vision.calibration import PlateCalibration
-from finger_vision.ftir import OUTSIDE, FtirSegmenter, FtirSettings
+from finger_vision.ftir import OUTSIDE, FtirSegmenter, FtirSettings, ellipse_deviations
 from finger_vision.messages import contact_area_fields
-from finger_vision.outline import convex_corners
+from finger_vision.outline import Shape, convex_corners
 from finger_vision.overlay import draw_overlay, scale_bar
 from finger_vision.ridges import RIM_LEVEL
 
@@ -151,6 +151,44 @@ def test_centre_axes_and_angle_are_those_of_the_contact(study) -> None:
         if contact.aspect > 1.2:
             turn = (seen.ellipse_angle - contact.angle + math.pi / 2) % math.pi - math.pi / 2
             assert abs(turn) < math.radians(6)
+
+
+@pytest.mark.parametrize("aspect", [1.0, 1.03, 1.1, 1.3])
+def test_deviation_of_the_angle_fits_outlines_with_errors_along_the_rim(aspect: float) -> None:
+    """Errors make an ellipse of a circle, and its angle was stated to half of its error."""
+    rng = np.random.default_rng(3)
+    period, radius, around = 0.5e-3, 3e-3, np.linspace(0, 2 * math.pi, 720, endpoint=False)
+    stretch = np.array([math.sqrt(aspect), 1 / math.sqrt(aspect)])
+    ray = np.column_stack([np.cos(around), np.sin(around)])
+    parts = round(2 * math.pi * radius / period)
+    errors, stated = [], []
+    for _ in range(400):
+        off = 0.25 * period * rng.standard_normal(parts)[np.arange(720) * parts // 720]
+        shape = Shape(ray * radius * stretch + off[:, None] * ray)
+        rim = 0.25 * period * math.sqrt(period * shape.perimeter)
+        errors.append(shape.angle)
+        stated.append(ellipse_deviations(shape, rim, rim)[3])
+    assert np.mean(np.abs(errors) < 2 * np.array(stated)) > 0.88
+    wrong, said = (float(np.sqrt(np.mean(np.square(x)))) for x in (errors, stated))
+    assert 0.85 * wrong < said
+    if aspect > 1.05:
+        assert said < 1.3 * wrong
+    if aspect == 1.0:
+        assert np.median(stated) == pytest.approx(math.pi / math.sqrt(12)), "no direction at all"
+
+
+def test_deviations_of_a_contact_over_the_border_are_not_known() -> None:
+    renderer = FtirRenderer("natural", seed=77)
+    segmenter = FtirSegmenter(calibration=renderer.calibration())
+    for _ in range(3):
+        segmenter.learn(renderer.empty())
+    half = renderer.width / 2 * math.sqrt(renderer.calibration().area_per_pixel)
+    for beyond, whole in ((-3e-3, True), (2e-3, False)):
+        contact = Contact(4e-3, (half - 4e-3 + beyond, 0.0))
+        seen = segmenter.measure(renderer.render_frame([contact]).image)
+        assert bool(seen.flags & AreaFlag.CLIPPED) is not whole
+        sds = seen.centroid_sd, seen.ellipse_major_sd, seen.ellipse_minor_sd, seen.ellipse_angle_sd
+        assert all(math.isfinite(sd) is whole for sd in sds)
 
 
 def test_concave_outline_agrees_on_full_contacts_and_leaves_gaps_out() -> None:

@@ -24,7 +24,8 @@ class Pose:
     aspect: lateral semi-axis of pad, skin, bone and nail along x over the one along y, which is
     that of the geometry. pitch, roll: tilt of the plate in rad; the plate's normal is turned about
     y by pitch (its side at +x rises), then about x by roll (its side at +y rises). Raises
-    InputError for an aspect outside 0.5 … 2, and for pitch, roll or tilt beyond 45°.
+    InputError for what is no number, for an aspect outside 0.5 … 2, and for pitch, roll or tilt
+    beyond 45°.
     """
 
     aspect: float = 1.0
@@ -32,6 +33,10 @@ class Pose:
     roll: float = 0.0
 
     def __post_init__(self) -> None:
+        for name in ("aspect", "pitch", "roll"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
+                raise InputError(f"pose: '{name}' is {value!r}; give a number")
         low, high = ASPECTS
         if not low <= self.aspect <= high:
             raise InputError(f"pad aspect is {self.aspect:g}, outside {low:g} … {high:g}")

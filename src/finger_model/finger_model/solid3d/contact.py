@@ -69,6 +69,10 @@ class Contact:
         return replace(self, **{name: getattr(self, name).copy() for name in names})
 
 
+class NotSettled(NotConverged):
+    """No set of nodes that stick and slip was found."""
+
+
 class Sliding(Exception):
     """No node sticks, and the tangential force is given: the plate slides away."""
 
@@ -210,7 +214,7 @@ def _settle(
         seen.append(key)
     if misfit < 1e-3:
         return Response(moved, force, plate_now, status)
-    raise NotConverged(f"contact and friction did not settle (misfit {misfit:.1e})")
+    raise NotSettled(f"contact and friction did not settle (misfit {misfit:.1e})")
 
 
 class _System:

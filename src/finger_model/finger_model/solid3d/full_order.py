@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from ..history import CSV_HEADER, check_force_history, csv_of, mean_pressure
 from ..laws import ConstitutiveLaw, Tissue
 from ..laws.creep_steps import CreepSteps
 from ..pose.pose import Pose
-from .contact import Contact, Plate, Sliding
+from .contact import Contact, NotSettled, Plate, Sliding
 from .contact_shape import node_areas, outline, pressure, stick_ratio
 from .equilibrium import Equilibrium
 from .material import SolidMaterial
@@ -34,6 +35,11 @@ SMALLEST_CUT = 2.0**-12
 """Smallest fraction of a step: a step that does not converge is cut to a quarter, down to this."""
 FAR = 1e3
 """Shift of a sliding plate over the finger's height, at which every node slips along it."""
+FULL_SLIP = 0.95
+"""Share of the friction from which on the plate slides where no node sticks. Skin that spreads does
+not slip along the pull alone, so that all of it slips before the pull is μP: from 0.97 μP on."""
+SAME_WAY = 0.5
+"""Cosine of the angle between two slides up to which the plate goes on the same way."""
 
 
 SOLID_CSV_HEADER = (
@@ -51,8 +57,9 @@ class SolidPoint:
     pressure (Pa); semi_axis_a ≥ semi_axis_b (m), orientation (rad) of a from x, center_x, center_y
     (m): of the contact; tangential_x, tangential_y (N): force of the plate on the skin; shift_x,
     shift_y (m): of the plate; stick_ratio: share of the area that slid by less than 5 % of the
-    plate's travel in the step; slip_margin: 1 − |Q|/(μ P), zero where the plate slides. Without
-    contact these two are NaN.
+    plate's travel in the step, zero where the plate slides; slip_margin: 1 − |Q|/(μ P), at least
+    zero; Q is the pull that is given, if one is. Without contact, and without friction, these two
+    are NaN.
     """
 
     time: float
@@ -116,12 +123,30 @@ class SolidHistory:
         return csv_of(SOLID_CSV_HEADER, self.time, self.load, *columns)
 
 
+class Slide(NamedTuple):
+    """A plate that slides along `way` (2,), a unit vector, or zero without friction and pull.
+
+    share: |Q|/(μ P) of the pull, at most 1; onset: that at which the slide began; load: largest
+    normal force (N) on the mesh in it.
+    """
+
+    way: np.ndarray
+    share: float
+    onset: float
+    load: float
+
+    def same_way(self, way: np.ndarray) -> bool:
+        """Whether a slide along `way` (2,), a unit vector or zero, goes on with this one."""
+        return float(self.way @ way) > SAME_WAY
+
+
 @dataclass
 class SolidState:
     """State of a finger (SI). Arrays are never changed in place, but for those of `contact`.
 
     slid (S, 2): way (m) of the skin's nodes along the plate since the newest step of the caller
-    began; crept: see `creep_steps`.
+    began; crept: see `creep_steps`; slide: None where some node sticks, or where the plate's force
+    along itself is not given.
     """
 
     time: float
@@ -130,6 +155,7 @@ class SolidState:
     tissue: Tissue
     slid: np.ndarray
     crept: np.ndarray
+    slide: Slide | None = None
 
     def copy(self) -> SolidState:
         """Independent copy."""
@@ -182,22 +208,35 @@ class SolidModel:
         """Contact under forces (n,) in N along the plate's normal and tangential forces (n,) along
         x, or (n, 2), in N at times (n,) in s; at rest before time[0], which may carry load.
 
-        `progress` is called with the fraction done. Raises InputError and ModelError as the
-        axisymmetric model does.
+        `progress` is called with the fraction done. Raises InputError, also for tangential forces
+        of another shape, and ModelError as the axisymmetric model does.
         """
         time, force = check_force_history(time, force)
         stepper = self.start(material, float(time[0]))
         pulls: list[tuple[float, float] | None] = [None] * len(time)
         if tangential_force is not None:
-            pull = np.zeros((len(time), 2))
-            pull[:, : np.ndim(tangential_force)] = np.reshape(tangential_force, (len(time), -1))
-            pulls = [(float(x), float(y)) for x, y in pull]
+            pulls = [(float(x), float(y)) for x, y in _pulls(tangential_force, len(time))]
         points = []
         for index in range(len(time)):
             points.append(stepper.step(float(time[index]), float(force[index]), pulls[index]))
             if progress is not None:
                 progress((index + 1) / len(time))
         return SolidHistory.from_points(points, force)
+
+
+def _pulls(given: Any, rows: int) -> np.ndarray:
+    """Tangential forces (rows, 2) in N of what is given, (rows,) along x or (rows, 2); raises
+    InputError."""
+    try:
+        pull = np.asarray(given, float)
+    except (TypeError, ValueError):
+        raise InputError("tangential force: not an array of numbers; give forces in N") from None
+    if pull.shape not in ((rows,), (rows, 2)):
+        raise InputError(
+            f"tangential force has the shape {pull.shape}; give ({rows},) along x, or ({rows}, 2), "
+            "one row for each time"
+        )
+    return np.column_stack([pull, np.zeros(rows)]) if pull.ndim == 1 else pull
 
 
 class SolidStepper:
@@ -216,7 +255,6 @@ class SolidStepper:
             np.zeros((len(model.mesh.surface), 2)),
             self._creep.at_rest(),
         )
-        self.sliding = False
         self._plate_before = self.state.contact.plate
         self._before: SolidState | None = None
         with STEP_LOCK:
@@ -247,6 +285,11 @@ class SolidStepper:
         other than one of `step`."""
         with STEP_LOCK:
             return self._advance(time, None, indentation, None, shift)
+
+    @property
+    def sliding(self) -> bool:
+        """Whether the plate slides under the pull that is given."""
+        return self.state.slide is not None
 
     @property
     def indentation(self) -> float:
@@ -296,7 +339,6 @@ class SolidStepper:
             end[5], end[2] = force / copies, np.nan
         else:
             end[2] = self.model.tip_height + (indentation or 0.0)
-        self.sliding = False
         self._plate_before = old.plate
         self.state = replace(start, slid=np.zeros_like(start.slid))
         done, size = 0.0, 1.0
@@ -323,10 +365,15 @@ class SolidStepper:
                 size = 0.25 * (goal - done)
                 if size < SMALLEST_CUT:
                     self.state, self._before = start, before
+                    remedy = (
+                        "lower the pull, or divide the mesh by another refinement"
+                        if isinstance(error, NotSettled)
+                        else "the load is beyond what this finger carries: lower it or use stiffer "
+                        "moduli"
+                    )
                     raise ModelError(
-                        f"no equilibrium at t = {instant:.4g} s, "
-                        f"{self._words(target)}: {error}; the load is beyond what this finger "
-                        "carries: lower it or use stiffer moduli"
+                        f"no equilibrium at t = {instant:.4g} s, {self._words(target)}: {error}; "
+                        f"{remedy}"
                     ) from None
                 continue
             done = goal
@@ -345,6 +392,7 @@ class SolidStepper:
         duration = time - state.time
         material = self.solid.step(duration, state.tissue)
         skin = state.positions[self.model.mesh.surface]
+        slide: Slide | None = None
         if plate.force[2] <= 0.0:
             # No contact: the plate just touches.
             x, contact = state.positions.copy(), state.contact.copy()
@@ -357,7 +405,7 @@ class SolidStepper:
             contact.plate = state.contact.plate.copy()
             contact.plate[2] = float(x[self.model.mesh.surface, 2].min())
         else:
-            x, contact = self._solve(plate, material)
+            x, contact, slide = self._solve(plate, material)
         self._before = state
         before = float(self.plate_force[2])
         skin = x[self.model.mesh.surface, :2]
@@ -365,28 +413,41 @@ class SolidStepper:
         slid[contact.status == STICK] = state.slid[contact.status == STICK]
         slid[contact.status == OPEN] = 0.0
         tissue = self.solid.update(duration, state.tissue, x)
-        self.state = SolidState(time, x, contact, tissue, slid, state.crept)
+        self.state = SolidState(time, x, contact, tissue, slid, state.crept, slide)
         after = float(self.plate_force[2])
         self.state.crept = self._creep.followed(state.crept, duration, before, after)
 
-    def _solve(self, plate: Plate, material: StepMaterial) -> tuple[np.ndarray, Contact]:
+    def _solve(
+        self, plate: Plate, material: StepMaterial
+    ) -> tuple[np.ndarray, Contact, Slide | None]:
         """Positions and contact; a plate that slides lies where no node sticks any more."""
         state, friction = self.state, self.material.friction
         x, contact = self._guess(plate)
         contact.anchor = self._anchor(state, x, contact)
         contact.begun = state.contact.force[:, :2].copy()
-        solve = self.model.equilibrium.solve
-        pull = plate.force[:2]
-        tangential = np.isnan(plate.position[:2])
-        size = float(np.hypot(*np.where(tangential, pull, 0.0)))
-        if not tangential.any():
-            return solve(x, contact, material, friction, plate)
-        if size < friction * plate.force[2] * (1.0 - 1e-6) or (size == 0.0 and friction > 0.0):
+        pulled = np.isnan(plate.position[:2])
+        if not pulled.any():
+            return *self.model.equilibrium.solve(x, contact, material, friction, plate), None
+        pull = np.where(pulled, plate.force[:2], 0.0)
+        size, bound = float(np.hypot(*pull)), friction * float(plate.force[2])
+        # What rounding leaves of no pull has no direction.
+        way = pull / size if size > 1e-9 * plate.force[2] else np.zeros(2)
+        share = min(size / bound, 1.0) if bound > 0.0 else 1.0
+        old = state.slide
+        if old is not None and not old.same_way(way):
+            old = None
+        onset = old.onset if old is not None else 1.0
+        if share < onset - 1e-6:
             try:
-                return solve(x, contact, material, friction, plate)
+                return *self._stuck(x, contact, material, plate), None
             except Sliding:
-                return self._held_first(x, contact, material, plate)
-        return self._slide(x, contact, material, plate, pull, size)
+                if share < FULL_SLIP:
+                    raise NotSettled("no skin sticks although friction is not used up") from None
+                onset = share
+        stays = old is not None and plate.force[2] <= old.load * (1.0 + 1e-6)
+        x, contact = self._slide(x, contact, material, plate, way, stays)
+        load = float(plate.force[2]) if old is None else max(float(plate.force[2]), old.load)
+        return x, contact, Slide(way, share, onset, load)
 
     def _slide(
         self,
@@ -394,15 +455,13 @@ class SolidStepper:
         contact: Contact,
         material: StepMaterial,
         plate: Plate,
-        pull: np.ndarray,
-        size: float,
+        way: np.ndarray,
+        stays: bool,
     ) -> tuple[np.ndarray, Contact]:
-        """The solution where every node slips along the pull (2,) in N of this size: that of a
-        plate that is far away. Then the plate lies where the last node has just slipped."""
-        self.sliding = True
+        """The solution where every node slips along `way` (2,): that of a plate that is far away.
+        Then the plate lies where the last node has just slipped, or stays where it was."""
         pulled = np.isnan(plate.position[:2])
-        way = np.where(pulled, pull, 0.0) / max(size, 1e-300)
-        begun = contact.plate[:2].copy()
+        begun = self.state.contact.plate[:2]
         position = plate.position.copy()
         far = begun + FAR * self.model.equilibrium.length * way
         position[:2][pulled] = far[pulled]
@@ -411,25 +470,27 @@ class SolidStepper:
         x, contact = solve(x, contact, material, friction, Plate(position, plate.force, True))
         active = contact.status != OPEN
         skin = x[self.model.mesh.surface][active, :2]
-        travel = float(((skin - begun - contact.anchor[active]) @ way).max())
+        travel = 0.0 if stays else float(((skin - begun - contact.anchor[active]) @ way).max())
         contact.plate[:2][pulled] = (begun + max(travel, 0.0) * way)[pulled]
         return x, contact
 
-    def _held_first(
+    def _stuck(
         self, x: np.ndarray, contact: Contact, material: StepMaterial, plate: Plate
     ) -> tuple[np.ndarray, Contact]:
-        """The solution where no node stuck on the way to it although friction is not used up, as
-        when the skin has only just touched: the plate is held until some do, then pulled."""
+        """The solution under a pull with which some skin sticks. Where no node stuck on the way to
+        it, as when the skin has only just touched, the plate is held until some do, then pulled.
+        Raises Sliding."""
         solve, friction = self.model.equilibrium.solve, self.material.friction
+        try:
+            return solve(x, contact, material, friction, plate)
+        except Sliding:
+            pass
         position, force = plate.position.copy(), plate.force.copy()
         pulled = np.isnan(position[:2])
         position[:2][pulled] = contact.plate[:2][pulled]
         force[:2][pulled] = np.nan
         x, contact = solve(x, contact, material, friction, Plate(position, force))
-        try:
-            return solve(x, contact, material, friction, plate)
-        except Sliding:
-            raise NotConverged("no skin sticks although friction is not used up") from None
+        return solve(x, contact, material, friction, plate)
 
     def _anchor(self, state: SolidState, x: np.ndarray, contact: Contact) -> np.ndarray:
         """Places (S, 2) on the plate where nodes stick: where they were when the step began or,
@@ -508,15 +569,13 @@ class SolidStepper:
         shape = outline(mesh, skin, state.contact, areas)
         qx, qy, force = (float(v) for v in self.plate_force)
         bound = self.material.friction * force
-        touches = bool((state.contact.status != OPEN).any())
-        slides = self.sliding or bound <= 0.0
-        stick = math.nan
-        if touches:
+        stick = margin = math.nan
+        if bound > 0.0 and state.slide is not None:
+            stick, margin = 0.0, 1.0 - state.slide.share
+        elif bound > 0.0:
             travel = float(np.linalg.norm(state.contact.plate - self._plate_before))
-            stick = 0.0
-            if not slides:
-                stick = stick_ratio(mesh, skin, state.contact, state.slid, travel)
-        margin = 0.0 if slides else max(1.0 - math.hypot(qx, qy) / bound, 0.0)
+            stick = stick_ratio(mesh, skin, state.contact, state.slid, travel)
+            margin = max(1.0 - math.hypot(qx, qy) / bound, 0.0)
         return SolidPoint(
             time=state.time,
             force=force,
@@ -535,5 +594,5 @@ class SolidStepper:
             shift_x=float(state.contact.plate[0]),
             shift_y=float(state.contact.plate[1]),
             stick_ratio=stick,
-            slip_margin=margin if touches else math.nan,
+            slip_margin=margin,
         )
