@@ -9,13 +9,14 @@ on only after they have been good for a while. Only when states come that know n
 contact, for a second on end, it opens (0 N). Without contact it presses with `approach_force` at
 most, so that no larger force waits for the touch. `slip_grip.py` beside it holds a margin against
 slip.
+
+Each setting of `AreaController` is a parameter of the node.
 """
 
 from __future__ import annotations
 
 import math
-import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from finger_common.flags import StateFlag
 
@@ -55,12 +56,12 @@ class AreaController:
     settle: float = 0.2
     open_after: float = 1.0
     sure: float = 0.1
-    force: float = 0.0
-    reason: str = "no contact state yet"
-    _received: float = -math.inf
-    _stamp: float = -math.inf
-    _good_since: float = math.inf
-    _bad_since: float = math.inf
+    force: float = field(default=0.0, init=False)
+    reason: str = field(default="no contact state yet", init=False)
+    _received: float = field(default=-math.inf, init=False)
+    _stamp: float = field(default=-math.inf, init=False)
+    _good_since: float = field(default=math.inf, init=False)
+    _bad_since: float = field(default=math.inf, init=False)
 
     def __post_init__(self) -> None:
         if not 1e-7 <= self.target_area <= 1e-3:
@@ -136,7 +137,7 @@ class AreaController:
 def main() -> None:
     """Run the node."""
     import rclpy
-    from rclpy.exceptions import ParameterException
+    from node_parameters import from_parameters
     from rclpy.executors import ExternalShutdownException
     from rclpy.qos import QoSProfile, ReliabilityPolicy
     from std_msgs.msg import Float64
@@ -146,13 +147,7 @@ def main() -> None:
 
     rclpy.init()
     node = rclpy.create_node("grasp_controller")
-    try:
-        controller = AreaController(
-            target_area=node.declare_parameter("target_area", 30.0e-6).value,
-            stale_after=node.declare_parameter("stale_after", 0.05).value,
-        )
-    except (ValueError, ParameterException) as error:
-        sys.exit(f"grasp_controller: {error}")
+    controller = from_parameters(node, AreaController, target_area=30.0e-6)
     publisher = node.create_publisher(Float64, "grasp_force", 1)
     # A steady clock: what is stale must not depend on a clock that may stop or be set.
     steady = rclpy.clock.Clock(clock_type=rclpy.clock.ClockType.STEADY_TIME)

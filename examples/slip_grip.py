@@ -5,14 +5,15 @@
     python examples/slip_grip.py --node --ros-args -r __ns:=/finger
 
 The node answers every `contact_slip` with the force to grip with, on `grip_force`
-(std_msgs/Float64, N). The controller itself, `SlipGrip`, uses no ROS and needs no camera.
+(std_msgs/Float64, N). Each setting of `SlipGrip`, the controller itself, is a parameter of the
+node. It uses no ROS and needs no camera.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -31,7 +32,8 @@ class SlipGrip:
     lower than estimated; dither: share by which the force swings, `dither_rate` times a second, as
     long as friction is a guess. As long as no slip was seen the friction is a guess: the
     force falls slowly until a slip begins, which tells it. `force` is the force to grip with (N);
-    it begins with the first one measured, for an object that is held already.
+    it begins with the first one measured (NaN), for an object that is held already. Raises
+    ValueError for a margin that no friction gives.
     """
 
     margin: float = 0.2
@@ -47,15 +49,19 @@ class SlipGrip:
     dither_rate: float = 6.0
     largest_step: float = 0.02
     force: float = math.nan
-    _stamp: float = -math.inf
-    _alarmed: float = -math.inf
-    _reflex: float = 0.0
+    _stamp: float = field(default=-math.inf, init=False)
+    _alarmed: float = field(default=-math.inf, init=False)
+    _reflex: float = field(default=0.0, init=False)
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.margin < 1.0:
+            raise ValueError(f"margin is {self.margin:g}, a number from 0 to below 1 is needed")
 
     def on_slip(
         self,
         stamp: float,
         normal: float,
-        tangential: float,
+        slip_margin: float,
         friction: float,
         friction_sd: float,
         probability: float,
@@ -63,21 +69,24 @@ class SlipGrip:
     ) -> float:
         """Force to grip with (N) after a ContactSlip.
 
-        stamp: of its header (s); normal, tangential: magnitudes P and |Q| (N); friction with its
-        standard deviation; flags: bits of SlipFlag. A probability that is not known (NaN) keeps
-        the force.
+        stamp: of its header (s); normal: P (N); slip_margin: which knows the zero of the lateral
+        force, as `tangential_force` does not; friction with its standard deviation; flags: bits of
+        SlipFlag. A margin or a probability that is not known (NaN) keeps the force.
         """
         if stamp < self._stamp:
             self._alarmed = -math.inf  # the clock went back
         elapsed = min(max(stamp - self._stamp, 0.0), self.largest_step)
         self._stamp = stamp
-        if flags & SlipFlag.FORCE_INVALID or math.isnan(probability):
+        if flags & SlipFlag.FORCE_INVALID or math.isnan(probability + slip_margin):
             return self.force
         if math.isnan(self.force):
             self.force = min(max(normal, self.smallest), self.largest)
         guess = bool(flags & SlipFlag.FRICTION_ASSUMED)
+        # |Q|: the margin is the mean over all frictions that may be, whose spread makes it smaller.
+        spread = 1.0 + (friction_sd / friction) ** 2
+        load = (1.0 - slip_margin) * friction * normal / spread
         friction = max(friction - (0.0 if guess else self.cautious * friction_sd), 0.05)
-        wanted = tangential / ((1.0 - self.margin) * friction)
+        wanted = load / ((1.0 - self.margin) * friction)
         if flags & SlipFlag.SLIPPING or probability > (0.4 if guess else self.alarm):
             if stamp - self._alarmed > self.patience:
                 self._alarmed, self._reflex = stamp, self.reflex * normal
@@ -102,13 +111,18 @@ class Outcome:
 
 
 def hold(
-    controller: SlipGrip | None, friction: float, seed: int = 0, fixed: float = 2.0
+    controller: SlipGrip | None,
+    friction: float,
+    seed: int = 0,
+    fixed: float = 2.0,
+    zero: float = 0.0,
 ) -> Outcome:
-    """Two fingers hold an object of 50 g that is filled to 350 g between 2 and 8 s.
+    """Two fingers take an object of 50 g, which is filled to 350 g between 2 and 8 s.
 
-    controller: None for a grip with the fixed force (N); friction: of skin on the object, which the
-    controller does not know. The gripper follows its command within 30 ms; the force has 5 mN of
-    noise. A slide of 20 mm is a drop.
+    controller: None for a grip with the fixed force (N), with which each begins; friction: of skin
+    on the object, which the controller does not know. zero: what the sensor gives along the load in
+    the air (N). The gripper is open for 0.7 s and closes 0.3 s before the controller begins. It
+    follows its command within 30 ms; the force has 5 mN of noise. A slide of 20 mm is a drop.
     """
     from finger_model.estimator import ContactEstimator
     from finger_model.finger import load_reduced
@@ -118,14 +132,14 @@ def hold(
     contact = ContactEstimator(load_reduced())
     slip = SlipEstimator(SlipSettings(tangential_noise=0.005))
     step = 0.002
-    force = command = 2.0
-    speed = slid = 0.0
+    force = speed = slid = 0.0
+    command = fixed
     ratios = []
-    for i in range(int(10.0 / step)):
-        time = i * step
+    for i in range(int(11.0 / step)):
+        time = i * step - 1.0
         mass = float(np.interp(time, [0.5, 1.0, 2.0, 8.0], [1e-3, 0.05, 0.05, 0.35]))
-        force += (command - force) * step / 0.03
-        load = mass * GRAVITY / 2.0
+        force += ((command if time > -0.3 else 0.0) - force) * step / 0.03
+        load = mass * GRAVITY / 2.0 if time > 0.0 else 0.0
         most = friction * force
         sliding = load > most or speed > 0.0
         carried = most if sliding else load
@@ -134,16 +148,14 @@ def hold(
         if slid > 0.02:
             return Outcome(True, slid, math.nan)
         noise = rng.normal(0.0, 0.005, 3)
-        wrench = (carried + noise[0], noise[1], -(force + noise[2]))
+        wrench = (carried + zero + noise[0], noise[1], -(force + noise[2]))
         for estimate in contact.add_wrench(i * 2_000_000, wrench):
             found = slip.add(estimate, wrench)
-            if controller is None:
-                command = fixed
-            else:
+            if controller is not None and time > 0.0:
                 command = controller.on_slip(
                     time,
                     found.normal_force,
-                    math.hypot(*found.tangential_force),
+                    found.slip_margin,
                     found.friction,
                     found.friction_stddev,
                     found.slip_probability,
@@ -168,6 +180,7 @@ def simulate() -> None:
 def run_node(arguments: list[str]) -> None:
     """Answer contact_slip with grip_force until Ctrl-C."""
     import rclpy
+    from node_parameters import from_parameters
     from rclpy.executors import ExternalShutdownException
     from rclpy.qos import QoSProfile, ReliabilityPolicy
     from std_msgs.msg import Float64
@@ -177,15 +190,14 @@ def run_node(arguments: list[str]) -> None:
 
     rclpy.init(args=arguments)
     node = rclpy.create_node("slip_grip")
-    controller = SlipGrip()
+    controller = from_parameters(node, SlipGrip)
     publisher = node.create_publisher(Float64, "grip_force", 1)
 
     def on_slip(state: ContactSlip) -> None:
-        q = state.tangential_force
         force = controller.on_slip(
             seconds(header_stamp(state)),
             state.normal_force,
-            math.sqrt(q.x**2 + q.y**2 + q.z**2),
+            state.slip_margin,
             state.friction,
             state.friction_stddev,
             state.slip_probability,

@@ -6,7 +6,8 @@ the model node.
 The plate's normal leans by 20° from the sensor's z towards its y. The node answers each `wrench`
 with `wrench_turned`, whose z is along the normal and whose stamp is that of the measurement; give
 the nodes model, protocol and page the parameter `wrench_topic: wrench_turned`, and record it
-(docs/rig_setup.md).
+(docs/rig_setup.md). A sensor behind the finger measures the force on the finger, not that on the
+plate: `--negate` turns it round.
 """
 
 from __future__ import annotations
@@ -15,9 +16,14 @@ import argparse
 import math
 
 
-def turned(vector: tuple[float, float, float], angle: float) -> tuple[float, float, float]:
-    """A vector (3,) in axes turned by an angle (rad) about x: z goes towards the former y."""
-    x, y, z = vector
+def turned(
+    vector: tuple[float, float, float], angle: float, negate: bool = False
+) -> tuple[float, float, float]:
+    """A vector (3,) in axes turned by an angle (rad) about x: z goes towards the former y.
+
+    negate: of the reaction to it.
+    """
+    x, y, z = (-v for v in vector) if negate else vector
     c, s = math.cos(angle), math.sin(angle)
     return x, c * y - s * z, s * y + c * z
 
@@ -27,6 +33,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument(
         "angle", type=float, help="of the plate's normal from z towards y (degrees)"
+    )
+    parser.add_argument(
+        "--negate", action="store_true", help="negate force and torque: a sensor behind the finger"
     )
     values, others = parser.parse_known_args()
     if not math.isfinite(values.angle):
@@ -43,7 +52,9 @@ def main() -> None:
 
     def on_wrench(message: WrenchStamped) -> None:
         for vector in (message.wrench.force, message.wrench.torque):
-            vector.x, vector.y, vector.z = turned((vector.x, vector.y, vector.z), angle)
+            vector.x, vector.y, vector.z = turned(
+                (vector.x, vector.y, vector.z), angle, values.negate
+            )
         message.header.frame_id = "plate_axes"
         publisher.publish(message)
 

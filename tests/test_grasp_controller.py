@@ -248,6 +248,67 @@ def ros(ros_domain: int) -> Iterator[Any]:
     rclpy.try_shutdown()
 
 
+@pytest.mark.parametrize(
+    ("name", "kind", "values"),
+    [
+        ("grasp_controller", "AreaController", {"approach_force": 0.05, "largest_rate": 1.5}),
+        ("slip_grip", "SlipGrip", {"margin": 0.5, "largest": 4.0}),
+    ],
+)
+def test_each_setting_of_an_example_is_a_parameter_of_its_node(
+    ros: Any, module_of: Callable[[str], Any], name: str, kind: str, values: dict[str, float]
+) -> None:
+    import rclpy
+    from rclpy.parameter import Parameter
+
+    example = getattr(module_of(f"examples/{name}.py"), kind)
+    from_parameters = module_of("examples/node_parameters.py").from_parameters
+    given = [Parameter(key, value=value) for key, value in values.items()]
+    needed = {"target_area": TARGET} if kind == "AreaController" else {}
+
+    def controller(*parameters: Any) -> Any:
+        node = rclpy.create_node("user", parameter_overrides=list(parameters))
+        try:
+            return from_parameters(node, example, **needed)
+        finally:
+            node.destroy_node()
+
+    found, plain = controller(*given), controller()
+    assert {key: getattr(found, key) for key in values} == values
+    assert all(getattr(plain, key) != value for key, value in values.items())
+    with pytest.raises(SystemExit) as ended:
+        controller(*given, Parameter("aproach_force", value=0.05))
+    assert ended.value.code == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (
+            ["grasp_controller.py", "--ros-args", "-p", "aproach_force:=0.05"],
+            "parameter 'aproach_force' does not exist; did you mean 'approach_force'?",
+        ),
+        (
+            ["grasp_controller.py", "--ros-args", "-p", "target_area:=30.0"],
+            "target_area is 30 m²",
+        ),
+        (["slip_grip.py", "--node", "--ros-args", "-p", "margin:=2.0"], "margin is 2"),
+        (["slip_grip.py", "--node", "--ros-args", "-p", "margin:=wide"], "margin"),
+    ],
+)
+def test_a_parameter_that_an_example_cannot_use_ends_it(
+    ros_domain: int,
+    process: Callable[..., Any],
+    project_root: Path,
+    arguments: list[str],
+    says: str,
+) -> None:
+    child = process(project_root / "examples" / arguments[0], *arguments[1:])
+    assert child.wait(60.0) == 2
+    told = child.output.read_text()
+    assert says in told and "Traceback" not in told
+
+
 def test_the_nodes_together_hold_the_area_and_the_force_without_state(
     ros: Any, process: Callable[..., Any], project_root: Path
 ) -> None:

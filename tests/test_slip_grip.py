@@ -29,23 +29,39 @@ def test_an_object_that_gets_heavier_is_held_whatever_its_friction(example: Any)
     assert all(outcome.force_ratio > 1.0 for outcome in found.values())
 
 
+@pytest.mark.parametrize("zero", [0.3, -0.3])
+def test_the_zero_of_the_lateral_force_does_not_take_the_margin(example: Any, zero: float) -> None:
+    """0.3 N along the load, as of a hand that has turned since its tare."""
+    found = example.hold(example.SlipGrip(force=2.0), 0.7, zero=zero)
+    assert not found.dropped
+    assert 1.2 < found.force_ratio < 1.6
+
+
+@pytest.mark.parametrize("margin", [1.0, -0.1, 20.0, float("nan")])
+def test_a_margin_that_no_friction_gives_is_refused(example: Any, margin: float) -> None:
+    with pytest.raises(ValueError, match=r"margin is .* from 0 to below 1"):
+        example.SlipGrip(margin=margin)
+
+
 def test_grip_answers_slip_at_once_and_lets_go_slowly(example: Any) -> None:
     grip = example.SlipGrip(force=2.0)
-    grip.on_slip(0.0, 2.0, 0.5, 0.5, 0.02, 0.0, 0)
+    grip.on_slip(0.0, 2.0, 0.5, 0.5, 0.02, 0.0, 0)  # a margin of 0.5
     for i in range(1, 26):
-        slipping = grip.on_slip(i * 0.002, 2.0, 1.0, 0.5, 0.02, 1.0, int(SlipFlag.SLIPPING))
+        slipping = grip.on_slip(i * 0.002, 2.0, 0.0, 0.5, 0.02, 1.0, int(SlipFlag.SLIPPING))
     assert slipping >= 1.3 * 2.0
     before = grip.force
     for i in range(26, 51):
-        after = grip.on_slip(i * 0.002, 2.6, 0.2, 0.5, 0.02, 0.0, 0)
+        after = grip.on_slip(i * 0.002, 2.6, 0.85, 0.5, 0.02, 0.0, 0)
     assert before - 0.15 < after < before
     for probability, flags in ((0.0, 8), (float("nan"), 8), (float("nan"), 0)):
         assert grip.on_slip(1.0, float("nan"), 0.2, 0.5, 0.0, probability, flags) == after
+    # Without a contact the margin is not known.
+    assert grip.on_slip(1.1, 0.0, float("nan"), 0.5, 0.0, 0.0, int(SlipFlag.NO_CONTACT)) == after
 
 
 def test_an_object_that_is_held_already_is_not_let_go(example: Any) -> None:
     grip = example.SlipGrip()
-    assert np.isnan(grip.on_slip(0.0, float("nan"), 0.0, 0.5, 0.2, 0.0, 8))
+    assert np.isnan(grip.on_slip(0.0, float("nan"), float("nan"), 0.5, 0.2, 0.0, 8))
     for i in range(1, 200):
-        force = grip.on_slip(i * 0.002, 5.0, 2.0, 0.7, 0.02, 0.0, 0)
+        force = grip.on_slip(i * 0.002, 5.0, 0.43, 0.7, 0.02, 0.0, 0)
         assert force > 4.0

@@ -39,6 +39,7 @@ LAYERS = {
     "finger_bringup": {
         "finger_common",
         "finger_bag",
+        "finger_driver",
         "finger_model",
         "finger_sim",
         "finger_bridge",

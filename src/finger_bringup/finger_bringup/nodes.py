@@ -23,6 +23,7 @@ from finger_common.entry import command_of
 from finger_common.errors import InputError, known_names, nearest
 from finger_common.namespaces import DEFAULT_NAMESPACE, check_namespace, own_name
 from finger_common.subject_code import FINGERS
+from finger_driver.force import SOURCES as FORCE_SOURCES
 from finger_sim.addresses import RigAddresses
 
 from .parameter_files import NO_PARAMETER_FILE, ParameterFile, matches, write_parameter_file
@@ -343,11 +344,14 @@ def without_effect(
     return f"{parameter_file.path}: {sections} of no node that runs here, and without effect"
 
 
-SENSOR_ADDRESS = {
-    "netcanoem": ("can_interface", "can_channel", "can_options", "base_identifier"),
-    "netft": ("netft_host",),
-}
-"""Parameters of the node `force` that tell one sensor of a kind from another."""
+def _address(values: Mapping[str, Any]) -> str:
+    """What tells the sensor of a node `force` of these parameters from others; empty where it is
+    not known."""
+    try:
+        kind = FORCE_SOURCES.load(str(values.get(FORCE_SOURCES.choice, FORCE_SOURCES.default)))
+        return str(kind.SETTINGS.select(values).address())
+    except InputError:
+        return ""  # the node itself says what is wrong
 
 
 def shared_sensors(
@@ -365,11 +369,10 @@ def shared_sensors(
             own = f"{entry.namespace(namespace).rstrip('/')}/"
             what = "wrench_topic " + (topic if topic.startswith("/") else own + topic)
         elif entry.name == "force":
-            keys = SENSOR_ADDRESS.get(str(values.get("device", "netcanoem")))
-            if keys is None:
+            address = _address(values)
+            if not address:
                 continue
-            what = ", ".join(f"{key} {values[key]}" for key in keys if key in values)
-            what = f"sensor ({what or 'the usual one'})"
+            what = f"sensor ({address})"
         else:
             continue
         readers.setdefault(what, []).append(f"'{name}'")

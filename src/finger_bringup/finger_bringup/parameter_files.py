@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -29,14 +29,14 @@ class ParameterFile:
         """Parameters by node pattern; raises InputError naming file and key."""
         found: dict[str, Mapping[str, Any]] = {}
         data = {} if self.path is None else load_yaml(self.path, "parameter file")
-        for node, section in data.items():
+        for node, section in _below_namespaces(data):
             values = section.get("ros__parameters") if isinstance(section, dict) else None
             if not isinstance(values, dict):
                 raise InputError(
                     f"{self.path}: '{node}' has no 'ros__parameters' with 'name: value' lines; "
                     "see the rig parameter file of finger_bringup"
                 )
-            found[node] = values
+            found[node] = {**found.get(node, {}), **values}
         return found
 
     def values_of(self, node: str) -> dict[str, Any]:
@@ -49,6 +49,17 @@ class ParameterFile:
 
 
 NO_PARAMETER_FILE = ParameterFile(None)
+
+
+def _below_namespaces(data: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Sections by node pattern; a mapping of mappings is a namespace, whose nodes are below it."""
+    for name, section in data.items():
+        inner = section.values() if isinstance(section, dict) else ()
+        if inner and "ros__parameters" not in section and all(isinstance(v, dict) for v in inner):
+            for below, found in _below_namespaces(section):
+                yield f"{name}".rstrip("/") + "/" + f"{below}".lstrip("/"), found
+        else:
+            yield name, section
 
 
 def matches(pattern: str, node: str) -> bool:

@@ -153,8 +153,25 @@ def test_the_rigs_own_file_has_no_section_without_effect() -> None:
         ),
         (
             {"*/force": "{can_channel: can0, base_identifier: 32}"},
-            "'/hand/thumb/force', '/hand/index/force' read the same sensor (can_channel can0, "
+            "'/hand/thumb/force', '/hand/index/force' read the same sensor (socketcan can0, "
             "base_identifier 32); give each finger its own",
+        ),
+        # One relies on the usual identifier, the other on the usual channel.
+        (
+            {"thumb/force": "{base_identifier: 32}", "index/force": "{can_channel: can0}"},
+            "read the same sensor (socketcan can0, base_identifier 32)",
+        ),
+        (
+            {"*/force": "{device: dbc, can_channel: can1}"},
+            "read the same sensor (socketcan can1, dbc_mapping of the Robotous RFT)",
+        ),
+        (
+            {"*/force": "{device: dbc}", "thumb/force": "{can_channel: can1}"},
+            "",
+        ),
+        (
+            {"*/force": "{device: dbc}", "thumb/force": "{dbc_mapping: other.yaml}"},
+            "",
         ),
         (
             {"*/force": "{can_channel: can0}", "thumb/force": "{base_identifier: 33}"},
@@ -164,6 +181,7 @@ def test_the_rigs_own_file_has_no_section_without_effect() -> None:
             {"*/force": "{device: netft, netft_host: ft1}"},
             "read the same sensor (netft_host ft1)",
         ),
+        ({"*/force": "{base_identifier: many}"}, ""),  # the node itself says what is wrong
         ({"*/force": "{device: of_somebody, netft_host: ft1}"}, ""),
     ],
 )
@@ -171,7 +189,9 @@ def test_two_fingers_on_one_sensor_are_named(
     sections: dict[str, str], says: str, tmp_path: Path
 ) -> None:
     own = tmp_path / "hand.yaml"
-    apart = {"index/force": "{base_identifier: 34}"} if "*/force" not in sections else {}
+    apart = {"index/force": "{base_identifier: 34}"}
+    if any(name.endswith("/force") for name in sections):
+        apart = {}
     lines = {**sections, **apart}.items()
     own.write_text("".join(f"/hand/{k}:\n  ros__parameters: {v}\n" for k, v in lines))
     file = ParameterFile(own)
@@ -213,11 +233,40 @@ def test_an_option_of_the_command_is_the_last_word(tmp_path: Path) -> None:
     assert written(tmp_path)["page"]["port"] == 9001
 
 
+def test_namespaces_of_a_parameter_file_may_be_nested(tmp_path: Path) -> None:
+    """As ROS takes them: outer keys are namespaces."""
+    path = tmp_path / "nested.yaml"
+    path.write_text(
+        "hand:\n"
+        "  thumb:\n"
+        "    model: {ros__parameters: {default_moisture: 100.0}}\n"
+        "    force: {ros__parameters: {can_channel: can7}}\n"
+        "/hand/thumb/model: {ros__parameters: {normal_axis: +x}}\n"
+        "/**:\n"
+        "  force: {ros__parameters: {rate: 250.0}}\n"
+        "/hand/index:\n"
+        "  model: {ros__parameters: {default_moisture: 90.0}}\n"
+    )
+    file = ParameterFile(path)
+    thumb = {"default_moisture": 100.0, "normal_axis": "+x"}
+    assert file.values_of("/hand/thumb/model") == thumb
+    assert file.values_of("/hand/thumb/force") == {"can_channel": "can7", "rate": 250.0}
+    assert file.values_of("/hand/index/model") == {"default_moisture": 90.0}
+    assert file.values_of("/model") == {}
+    entries = nodes.hand(["thumb", "index"])
+    assert nodes.without_effect(entries, "hand", file) == ""
+    told = nodes.without_effect(nodes.hand(["index"]), "hand", file)
+    assert "'hand/thumb/model'" in told and "'/hand/index/model'" not in told.replace(
+        "(did you mean '/hand/index/model'?)", ""
+    )
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [
         ("force: {rate: 500.0}\n", "'force' has no 'ros__parameters'"),
         ("/**/force:\n  ros__parameters: 5\n", "has no 'ros__parameters'"),
+        ("hand:\n  force: {rate: 500.0}\n", "'hand/force' has no 'ros__parameters'"),
         ("a: [1\n", "not valid YAML"),
     ],
 )

@@ -85,6 +85,10 @@ class CanSettings(Settings):
         channel = self.can_channel or DEFAULT_CHANNEL.get(self.can_interface, "")
         return f"{self.can_interface} {channel}".rstrip()
 
+    def bus(self) -> str:
+        """What tells this bus from others, in words."""
+        return f"{self.where()} {self.can_options}".rstrip()
+
 
 class HostMulticastBus(can.BusABC):
     """CAN frames between processes of this host over UDP multicast on the loopback interface.

@@ -7,3 +7,5 @@ is what is not known of it."""
 BLOCK, BLOCKS, LEAST_BLOCKS = 0.1, 10.0, 3.0
 """s of a block in the air, also of the first one, which is left out; how many are remembered, and
 how many tell the zero."""
+SILENCE = 1.0
+"""s without a sample after which the sensor may have been started again, with another zero."""

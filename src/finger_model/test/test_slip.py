@@ -835,6 +835,32 @@ def test_the_zero_of_the_lateral_force_is_learned_in_the_air(offset):
     assert rows["slip_probability"][last].max() > 0.9
 
 
+def test_a_silence_in_a_hold_leaves_margin_and_zero_unknown():
+    """As of a driver that starts again: its lateral zero has moved by 0.2 N. Friction, which was
+    learned before, is kept, and the next time in the air tells the new zero."""
+    time, normal, lateral, _ = slipping(3, 0.5)
+    hold = time[:4000]
+    gripped = np.interp(hold, [0.5, 0.8, 6.0, 6.2, 6.8, 7.1], [0.0, 1.0, 1.0, 0.0, 0.0, 1.0])
+    pulled = np.interp(hold, [1.0, 1.5, 5.9, 6.1, 7.2, 7.5], [0.0, 0.2, 0.2, 0.0, 0.0, 0.2])
+    resumed = hold >= 3.0
+    stamps = np.concatenate([time, 12.0 + hold + 4.0 * resumed])
+    normal = np.concatenate([normal, gripped])
+    lateral = np.concatenate([lateral, pulled + 0.2 * resumed])
+    noise = np.random.default_rng(3).normal(0.0, 0.005, (len(stamps), 3))
+    forces = np.stack([lateral, np.zeros(len(stamps)), -normal], axis=1) + noise
+    block = ContactEstimator(ReducedModel.load()).add_wrenches((stamps * 1e9).astype(int), forces)
+    rows = SlipEstimator(SlipSettings(tangential_noise=0.005)).add_block(block, forces)[6000:]
+    assumed = rows["flags"] & SlipFlag.FRICTION_ASSUMED != 0
+    known, after, again = ((hold > a) & (hold < b) for a, b in ((2, 3), (3, 5.8), (7.6, 8)))
+    after &= rows["flags"] & SlipFlag.NO_CONTACT == 0
+    for part in (known, again):
+        assert not assumed[part].any()
+        assert rows["slip_margin"][part] == pytest.approx(1.0 - 0.2 / 0.5, abs=0.06)
+    assert assumed[after].all()
+    assert rows["slip_margin_stddev"][after].min() >= 1.0
+    assert rows["friction"][after] == pytest.approx(0.5, rel=0.06)
+
+
 def test_a_lateral_force_that_changed_in_the_air_is_no_sure_zero():
     """As the weight of a gripper that turns before it touches."""
     time, normal, lateral, _ = slipping(3, 0.5)

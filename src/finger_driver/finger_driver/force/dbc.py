@@ -54,6 +54,9 @@ class DbcSettings(can_bus.CanSettings, ForceSettings):
         "", "dbc: YAML file that maps a DBC file's signals; empty for the shipped Robotous RFT."
     )
 
+    def address(self) -> str:
+        return f"{self.bus()}, dbc_mapping {self.dbc_mapping or 'of the Robotous RFT'}"
+
 
 class DbcSource(ForceSource):
     """Any CAN sensor that a DBC file describes.

@@ -99,6 +99,9 @@ class NetcanoemSettings(can_bus.CanSettings, ForceSettings):
         maximum=3600.0,
     )
 
+    def address(self) -> str:
+        return f"{self.bus()}, base_identifier {self.base_identifier}"
+
 
 class NetcanoemSource(ForceSource):
     """ATI NETCANOEM on a CAN bus."""

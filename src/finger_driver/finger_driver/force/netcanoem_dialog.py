@@ -141,7 +141,8 @@ class Dialog:
         rows, again = (np.array([self._read_row(axis) for axis in range(6)]) for _ in range(2))
         if not np.array_equal(rows, again, equal_nan=True):
             raise DeviceError(
-                f"{self._where}: two readings of the matrix differ; check the bus load"
+                f"{self._where}: two readings of the matrix differ; check the bus load, and that "
+                "no other program or finger asks this board"
             )
         counts, codes = (protocol.DEFAULT_COUNTS,) * 2, assumed_units
         if firmware[:2] >= protocol.UNITS_SINCE:

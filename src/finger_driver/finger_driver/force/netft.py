@@ -118,6 +118,9 @@ class NetFtSettings(ForceSettings):
         False, "Net F/T: write `rate` into the box (comm.cgi) before the stream starts."
     )
 
+    def address(self) -> str:
+        return f"netft_host {self.netft_host}"
+
 
 class NetFtSource(ForceSource):
     """ATI Net F/T on Ethernet."""

@@ -63,6 +63,10 @@ class ForceSettings(Settings):
         advice="The calibration sheet gives it.",
     )
 
+    def address(self) -> str:
+        """What tells this sensor from others, in words; empty where nobody knows."""
+        return ""
+
 
 @dataclass(frozen=True)
 class WrenchSample:

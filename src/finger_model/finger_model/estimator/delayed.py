@@ -12,6 +12,9 @@ from typing import Generic, TypeVar
 
 from finger_common.stamps import NANOSECONDS, nanoseconds
 
+REMEMBERED = 8192
+"""Samples that are remembered for measurements that come late: `delay` may be 1 s at 8 kHz."""
+
 T = TypeVar("T")
 
 _stamp = itemgetter(0)

@@ -24,14 +24,13 @@ from ..compiled import njit
 from ..finger_prior import PEAK_FORCES
 from ..pose.correction import LARGEST_DEPTH
 from ..reduced import kernels as rk
+from ..sensor_air import SILENCE
 from . import area_filter, members
+from .delayed import REMEMBERED
 
 _names: Any = namedtuple("FLAG", StateFlag.__members__)  # type: ignore[misc]
 FLAG: Any = _names(*map(int, StateFlag))
 """The bits of StateFlag as constants of compiled code."""
-
-REMEMBERED = 8192
-"""Samples remembered: fusion_delay may be 1 s at up to 8 kHz."""
 
 INDENTATION_DEVIATION = 0.01
 PEAK_DEVIATION = 0.03
@@ -194,16 +193,27 @@ def _follow_pull(config, state, normal_force, stamp):
 
 
 @njit(cache=True)
-def _follow_contact(config, state, normal_force, stamp):
-    """Onset and lift-off by threshold with hysteresis; true at an onset."""
+def _follow_contact(config, state, normal_force, stamp, silent):
+    """Onset and lift-off by threshold with hysteresis; true at an onset.
+
+    silent: no sample came for SILENCE before this one. What is held then is another contact: the
+    force may have another tare, and nobody saw what happened.
+    """
     contact = state.contact
     touching = _in_contact(contact.touching, normal_force, config.onset_force, config.liftoff_force)
-    begins = touching and not contact.touching
+    begins = touching and (silent or not contact.touching)
+    if contact.touching and (silent or not touching):
+        contact.liftoff = stamp
+        if contact.beyond or _offset_suspected(contact, stamp):
+            # What was learned from a force that was none, or beyond the model's, is forgotten, and
+            # areas of this contact that are still under way teach nothing.
+            area_filter.keep(state.before, state.filters)
+            contact.liftoff = contact.onset - 1
     if begins:
         area_filter.keep(state.filters, state.before)
         area_filter.begin_contact(state.filters, config.noise, stamp)
         rise = (stamp - contact.air) * 1e-9
-        contact.unseen = contact.air == 0 or rise > SLOWEST_TOUCH
+        contact.unseen = silent or contact.air == 0 or rise > SLOWEST_TOUCH
         contact.beyond = False
         contact.seen_force = 0.0
         contact.empty = 0
@@ -211,13 +221,6 @@ def _follow_contact(config, state, normal_force, stamp):
         contact.onset = stamp
         contact.has_fused = False
         state.counters.contacts += 1
-    elif contact.touching and not touching:
-        contact.liftoff = stamp
-        if contact.beyond or _offset_suspected(contact, stamp):
-            # What was learned from a force that was none, or beyond the model's, is forgotten, and
-            # areas of this contact that are still under way teach nothing.
-            area_filter.keep(state.before, state.filters)
-            contact.liftoff = contact.onset - 1
     contact.touching = touching
     if normal_force < 0.5 * config.onset_force:
         contact.air = stamp
@@ -409,7 +412,7 @@ def _advance_model(net, base, par, finger, work, config, state, stamp, normal_fo
         # A model that could not follow a contact starts again from rest in the air.
         members.rest(net, par, finger, work)
         near.stamp[:] = stamp
-    begins = _follow_contact(config, state, normal_force, stamp)
+    begins = _follow_contact(config, state, normal_force, stamp, dt > SILENCE)
     if begins:
         # What the last contacts told of the finger moves the model itself, so that sensitivities
         # are those of this finger.

@@ -117,10 +117,10 @@ class SlipEstimator:
 
     def change_surface(self) -> None:
         """Another plate; what is known of the sensor, its zero and its tilt, is kept."""
-        air = self._state["forces"]["air"].copy()
+        air, stamp = self._state["forces"]["air"].copy(), self._state["stamp"].copy()
         before = self._state["friction"]["known"].copy()[0]
         self.reset()
-        self._state["forces"]["air"] = air
+        self._state["forces"]["air"], self._state["stamp"] = air, stamp
         friction.keep_level(before, self._state["friction"]["known"][0])
         friction.set_prior(self._config["prior"][0], self._state["friction"][0], math.nan)
 
@@ -208,8 +208,9 @@ class SlipEstimator:
         """Rows (n,) of OUTPUT for n samples.
 
         normal_force, indentation, moisture (n,), lateral (n, 2) in SI; touching (n,): whether in
-        contact; doubted (n,): whether the force is hardly a finger's (FORCE_OFFSET): nothing is
-        learned from a contact that ends so. Raises InputError for other shapes.
+        contact; doubted (n,): whether the force is hardly a finger's (FORCE_OFFSET): margin and
+        stick ratio are not known, and nothing is learned from a contact that ends so. Raises
+        InputError for other shapes.
         """
         n = len(stamps_ns)
         if moisture is None:

@@ -124,6 +124,14 @@ def leave(forces, stamp):
 
 
 @njit(cache=True)
+def forget_air(forces):
+    """The sensor may have another zero from now on."""
+    air = forces.air
+    air.blocks = air.rough_samples = air.rough_variance = air.variance = 0.0
+    air.mean[:] = 0.0
+
+
+@njit(cache=True)
 def see_air(forces, noise, stamp, dt, q0, q1):
     """A sample in the air, dt (s) after the one before."""
     air = forces.air

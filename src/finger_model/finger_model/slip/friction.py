@@ -229,13 +229,21 @@ def _aim(aim, known, u0, u1):
 
 
 @njit(cache=True)
+def renew_aim(friction):
+    """Let `aim`, in the direction that it has, be of what is known now."""
+    aim = friction.aim
+    if not aim.true:
+        _aim(aim, friction.known, aim.along[0], aim.along[1])
+
+
+@njit(cache=True)
 def look(friction, u0, u1, clear):
     """Let `aim` be of what is known now, in the direction u if that is clear."""
     aim = friction.aim
     if clear and math.hypot(u0 - aim.along[0], u1 - aim.along[1]) > TURN:
         _aim(aim, friction.known, u0, u1)
-    elif not aim.true:
-        _aim(aim, friction.known, aim.along[0], aim.along[1])
+    else:
+        renew_aim(friction)
 
 
 @njit(cache=True)

@@ -18,12 +18,12 @@ from finger_common.flags import SlipFlag
 
 from .. import force_noise
 from ..compiled import njit
+from ..estimator.delayed import REMEMBERED
+from ..sensor_air import SILENCE
 from . import elements, forces, forecasts, friction, plateau
 
 NO_CONTACT, SLIPPING, ASSUMED, INVALID = (int(flag) for flag in SlipFlag)
 
-REMEMBERED = 8192
-"""Samples remembered, for stick ratios that come late: 1 s at up to 8 kHz."""
 TURNED = 0.85
 """Share of the largest ratio of a pull below which it counts as reversed."""
 DIP, DIP_NOISE = 0.1, 6.0
@@ -195,6 +195,10 @@ def follow(config, state, stamp, normal, q0, q1, touching, doubted, indentation,
         friction.set_prior(config.prior, state.friction, moisture)
     dt, step = (stamp - state.stamp) * 1e-9, (stamp - state.measured.stamp) * 1e-9
     anew = force_noise.measured_anew(state.measured, stamp, normal, q0, q1)
+    if dt > SILENCE:
+        if state.touching:
+            _end_contact(config, state, state.stamp)
+        forces.forget_air(state.forces)
     if touching:
         if not state.touching:
             forces.set_zero(state.forces)
@@ -237,7 +241,7 @@ def follow(config, state, stamp, normal, q0, q1, touching, doubted, indentation,
     ahead, spread = 0.0, 1.0
     if judged:
         ahead, spread = _ahead(state.forces, config.horizon, ratio, stands)
-    friction.look(state.friction, 0.0, 0.0, False)
+    friction.renew_aim(state.friction)
     slipping, first_stick, stick_spread = friction.weigh(
         state.friction,
         config.drift,
@@ -271,8 +275,13 @@ def follow(config, state, stamp, normal, q0, q1, touching, doubted, indentation,
     used = ratio / mean * friction.EDGE
     error = math.hypot(state.forces.filtered_noise, state.forces.zero_error) / (mean * now[0])
     out.slip_margin_stddev = math.hypot(out.slip_margin_stddev, math.hypot(used, error))
-    if state.forces.zero_error > UNSURE * mean * now[0] or not forces.noise_known(state.forces):
+    unsure = state.forces.zero_error > UNSURE * mean * now[0]
+    if doubted or unsure or not forces.noise_known(state.forces):
         out.flags |= ASSUMED
+    if doubted:
+        # The tare may be all of P and Q.
+        out.stick_ratio_stddev = max(out.stick_ratio_stddev, 1.0)
+        out.slip_margin_stddev = max(out.slip_margin_stddev, 1.0)
     stiffness = elements.sudden_stiffness(config.finger, indentation)
     out.tangential_stiffness = stiffness
     out.tangential_displacement[:] = math.nan
