@@ -22,6 +22,9 @@ from .estimator import ContactEstimate, EstimatorEvent, EventType
 from .pose.estimate import NO_OUTLINE, MeasuredOutline, ShapeEstimate
 from .slip import SlipEstimate
 
+PLATE = "plate"
+"""Frame of the plate, before a prefix."""
+
 NOT_WHOLE = int(AreaFlag.NO_CONTACT | AreaFlag.SPARSE | AreaFlag.CLIPPED)
 """Flags of a contact of which too little is seen for a stick ratio."""
 
@@ -131,6 +134,13 @@ def outline_of(message: Any) -> MeasuredOutline:
     center = float(message.centroid.x), float(message.centroid.y)
     axes = (float(getattr(message, f"ellipse_{name}")) for name in ("major", "minor", "angle"))
     return MeasuredOutline(center, *axes, *(float(getattr(message, n, math.nan)) for n in names))
+
+
+def plate_frame(area_frame: str, sensor_frame: str) -> str:
+    """Frame of a shape: that of the last contact_area, or, where none names one, PLATE with what
+    comes before the name of the sensor's frame, as in "thumb/force_sensor"."""
+    prefix, slash, _ = sensor_frame.rpartition("/")
+    return area_frame or f"{prefix}{slash}{PLATE}"
 
 
 def shape_numbers(shape: ShapeEstimate) -> tuple[float, ...]:

@@ -72,6 +72,7 @@ from .messages import (
     event_fields,
     moisture_of,
     outline_of,
+    plate_frame,
     shape_numbers,
     slip_numbers,
     state_numbers,
@@ -200,6 +201,8 @@ class _Run:
     flags: int = 0
     watch: WrenchWatch = field(default_factory=WrenchWatch)
     area_received: bool = False
+    plate: str = ""
+    """Frame of the newest area."""
     latency: LatencyHistogram = field(default_factory=LatencyHistogram)
     age: LatencyHistogram = field(default_factory=LatencyHistogram)
 
@@ -527,7 +530,8 @@ class ModelNode(ManagedNode):
                     numbers = slip_numbers(slip, run.followers.lateral_axes)
                     self._slip_publisher.publish(self._pack_slip((frame,), numbers))
                 if shape is not None:
-                    packed = self._pack_shape((frame,), shape_numbers(shape))
+                    plate = plate_frame(run.plate, frame)
+                    packed = self._pack_shape((plate,), shape_numbers(shape))
                     self._shape_publisher.publish(packed)
 
     def _on_area(self, message: ContactArea) -> None:
@@ -535,7 +539,7 @@ class ModelNode(ManagedNode):
             run = self._running
             if run is None:
                 return
-            run.area_received = True
+            run.area_received, run.plate = True, message.header.frame_id
             area = area_of(message)
             if self._calibration.collector.collecting:
                 self._calibration.collector.add_area(*area)

@@ -984,7 +984,9 @@ def test_shape_goes_out_where_it_is_wanted_as_the_core_has_it(
     settings = EstimatorSettings(pad_aspect=1.3, plate_pitch=0.2)
     estimator = ContactEstimator(load_reduced(), settings=settings)
     core = PoseEstimator(estimator.pose_correction)
-    layout = FixedMessage(ContactShape(header=bench.press(T0, 0.0).header))
+    header = bench.press(T0, 0.0).header
+    header.frame_id = "plate"
+    layout = FixedMessage(ContactShape(header=header))
     wanted = []
     for n in range(300):
         stamp, force = T0 + n * 2 * MS, (0.0, 0.0, -min(1.0, n / 100))
@@ -1006,3 +1008,10 @@ def test_shape_goes_out_where_it_is_wanted_as_the_core_has_it(
         assert repr(found) == repr(deserialize_message(values, ContactShape))
     assert shapes[-1].semi_axis_major > shapes[-1].semi_axis_minor > 1e-3
     assert abs(shapes[-1].center_of_pressure.x) == pytest.approx(2e-3, rel=0.2)
+    area = ContactArea(gross_area=4e-5, area_stddev=1e-6)
+    area.header.frame_id, area.header.stamp = "thumb/plate", to_time(stamp)
+    bench.area.publish(area)
+    bench.settle()
+    message.header.stamp = to_time(stamp + 100 * MS)
+    bench.wrench.publish(message)
+    bench.until(lambda: shapes[-1].header.frame_id == "thumb/plate")

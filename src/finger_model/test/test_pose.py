@@ -524,16 +524,19 @@ def test_endless_torques_are_left_out():
     assert np.all(np.isfinite(estimator.mean)) and np.all(np.isfinite(estimator.covariance))
 
 
-def pressed_with_zero(offset, seconds):
+def pressed_with_zero(offset, seconds, silence=0.0):
     """Shape of a level press of 0.5 N, after this time in the air with noise of the torque, where
-    the torque has an offset (N m) about y."""
+    the torque has an offset (N m) about y; with a silence (s) in the press: only after that."""
     rng = np.random.default_rng(0)
-    settings = PoseSettings(pad_place_sd=2e-4)
+    settings = PoseSettings(pad_place_sd=2e-4, sensor_place_sd=0.0)
     estimator = PoseEstimator(PoseCorrection(Geometry(), Pose(), SKIN), settings)
     air = round(100 * seconds)
     for k in range(-air, 200):
-        sample = estimate(10**10 + 10**7 * k, ROUND if k >= 0 else 0.0, 0.5 if k >= 0 else 0.0)
-        torque = rng.normal(0.0, 2e-4, 3) + np.array([0.0, offset, 0.0])
+        late = silence if k >= 100 else 0.0
+        stamp = 10**10 + 10**7 * k + int(1e9 * late)
+        sample = estimate(stamp, ROUND if k >= 0 else 0.0, 0.5 if k >= 0 else 0.0)
+        torque = rng.normal(0.0, 2e-4, 3)
+        torque[1] += offset if late == silence else 0.0
         estimator.add(sample, (0.0, 0.0, -0.5 if k >= 0 else 0.0), torque.tolist())
     return estimator.shape(sample)
 
@@ -549,8 +552,17 @@ def test_a_torque_that_a_tare_left_in_the_air_is_no_tilt(offset, seconds):
 
 def test_a_torque_of_1_mn_m_that_the_air_did_not_tell_is_a_tilt_of_18_degrees():
     shape = pressed_with_zero(1e-3, 0.0)
-    assert math.degrees(abs(shape.roll)) == pytest.approx(18.0, abs=0.5)
+    assert math.degrees(abs(shape.roll)) == pytest.approx(18.5, abs=0.5)
     assert shape.flags & ShapeFlag.TILT_UNCERTAIN
+
+
+def test_a_zero_of_the_torque_from_before_a_silence_is_forgotten():
+    """A sensor that starts again, untared, while the finger presses."""
+    after, blink = (pressed_with_zero(1e-3, 3.0, silence) for silence in (1.5, 0.5))
+    untold = pressed_with_zero(1e-3, 0.0)
+    assert after.roll_stddev == pytest.approx(untold.roll_stddev, rel=0.05)
+    assert after.flags & ShapeFlag.TILT_UNCERTAIN
+    assert blink.roll_stddev < 0.8 * after.roll_stddev
 
 
 def test_a_zero_of_the_torque_that_the_air_did_not_tell_is_part_of_the_deviation():

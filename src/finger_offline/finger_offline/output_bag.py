@@ -16,7 +16,7 @@ from finger_bag.writer import BagWriter, MessageRefused
 from finger_common.errors import InputError
 from finger_common.files import read_bytes
 from finger_model.estimator import EstimatorEvent
-from finger_model.messages import event_fields
+from finger_model.messages import PLATE, event_fields
 from finger_vision.area_sensor import ContactMeasurement
 
 from .image_areas import area_fields
@@ -100,7 +100,7 @@ class OutputBag:
     def write_area(self, measured: ContactMeasurement, stamp: int, log_ns: int) -> None:
         """Write an area measured in an image."""
         topic = self._topics.result("contact_area")
-        self._writer.write(topic, area_fields(stamp, measured, "plate"), log_ns)
+        self._writer.write(topic, area_fields(stamp, measured, PLATE), log_ns)
 
     def write_event(self, event: EstimatorEvent, log_ns: int, sequence: int = 0) -> None:
         """Write an event of the estimator."""

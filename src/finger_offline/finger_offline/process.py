@@ -40,10 +40,12 @@ from finger_model.finger import load_for
 from finger_model.followers import Followers
 from finger_model.messages import (
     NOT_WHOLE,
+    PLATE,
     area_of,
     event_of,
     moisture_of,
     outline_of,
+    plate_frame,
     stick_of,
 )
 from finger_model.parameter_sets import ParameterSets
@@ -237,6 +239,8 @@ class _Run:
         )
         # What pictures show beside the areas that wait, by stamp.
         self.seen: dict[int, tuple[tuple[float, float], MeasuredOutline]] = {}
+        # Frame of the newest area.
+        self.plate = "" if images is None else PLATE
         self.before = Wrenches(np.zeros(1, np.int64), np.zeros(1, np.int64), *np.zeros((2, 1, 3)))
         # Images are not held for so long: they need memory.
         self.queue = InputOrder(topics.events is not None and topics.image is None)
@@ -356,6 +360,7 @@ class _Run:
             if value is None:
                 _, area, sd, flags = area_of(item.message)
                 self.seen[stamp] = stick_of(item.message), outline_of(item.message)
+                self.plate = item.message.header.frame_id
                 area, sd = area * mapped.scale, sd * mapped.scale
             else:
                 area, sd, flags = value, RELATIVE_AREA_SD * abs(value), 0
@@ -453,6 +458,7 @@ class _Run:
         if self.output is not None:
             self.output.write("contact_state", zip(logs, serialize(block, frame)))
             self.output.write("contact_slip", zip(logs, slips))
-            self.output.write("contact_shape", serialize_shapes(shapes, frame))
+            plate = plate_frame(self.plate, frame)
+            self.output.write("contact_shape", serialize_shapes(shapes, plate))
         for sink in self.sinks:
             sink(block)

@@ -104,6 +104,7 @@ def test_outline_and_torque_tell_aspect_and_tilt(bag: Path, tmp_path: Path) -> N
     state = last(tmp_path / "out", "/finger/contact_state")
     assert shape.area == pytest.approx(state.area, rel=0.02)
     assert math.pi * shape.semi_axis_major * shape.semi_axis_minor == pytest.approx(shape.area)
+    assert shape.header.frame_id == "plate"
     area = last(bag, "/finger/contact_area")
     assert shape.center.x == pytest.approx(area.centroid.x, abs=0.1e-3)
     assert shape.center.y == pytest.approx(area.centroid.y, abs=0.1e-3)
@@ -169,7 +170,7 @@ def live_recording(path: Path, pressed: Path) -> list[bytes]:
                 core.assume(estimator.pose_correction)
                 shape = core.add(estimate, force, torque)
                 if shape is not None:
-                    shapes.append(encode(SHAPE, shape_fields(shape)))
+                    shapes.append(encode(SHAPE, shape_fields(shape, "plate")))
     return shapes
 
 

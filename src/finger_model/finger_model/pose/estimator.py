@@ -3,12 +3,20 @@
 
 """Aspect of the pad and tilt of the plate, from the outline and from the centre of pressure.
 
-An extended Kalman filter of seven unknowns: logarithm of the aspect, pitch, roll, the place of the
-pad's centre over the plate, and what is left of the torque's zero. Outlines of a camera tell the
-ratio and the direction of the ellipse's axes and the centre of the contact, torques of a six-axis
-sensor its centre of pressure; what they are in a pose is `correction`'s. A tilt moves the contact
-by some 0.1 to 0.2 mm a degree: it is known as well as the place of the finger is. The aspect stays
-from contact to contact.
+An extended Kalman filter. Outlines of a camera tell the ratio and the direction of the ellipse's
+axes and the centre of the contact, torques of a six-axis sensor its centre of pressure; what they
+are in a pose is `correction`'s. A tilt moves the contact by some 0.1 to 0.2 mm a degree: it is
+known as well as the place of the finger is. What stays wrong from one measurement to the next is
+among the unknowns, so that no number of measurements makes the tilt surer than it is:
+
+- logarithm of the aspect, which stays from contact to contact, pitch and roll;
+- the place of the pad's centre over the plate (2);
+- the correction's errors of the ellipse's shape (2) and of the centres (2), which are others at
+  another depth of the contact;
+- what is left of the torque's zero (2), and the place of its origin (2).
+
+All but the aspect wander about what is known before, as far as its standard deviation lets them.
+Measurements that are not as expected, one after the other, quicken that.
 """
 
 from __future__ import annotations
@@ -24,26 +32,53 @@ from finger_common.flags import ShapeFlag, StateFlag
 from finger_common.stamps import NANOSECONDS, nanoseconds
 
 from ..estimator import ContactEstimate
-from ..estimator.delayed import Delayed
+from ..estimator.delayed import REMEMBERED, Delayed
+from ..sensor_air import SILENCE
 from .correction import Outline, PoseCorrection
 from .estimate import MeasuredOutline, ShapeEstimate
 from .pose import ASPECTS, LARGEST_TILT, Pose
 from .settings import PoseSettings
 from .torque_zero import TorqueZero
 
-ASPECT, PITCH, ROLL, PLACE, ZERO = 0, 1, 2, slice(3, 5), slice(5, 7)
-UNKNOWNS = 7
+ASPECT, PITCH, ROLL = 0, 1, 2
+PLACE, SHAPE, CENTER, ZERO, ORIGIN = (slice(k, k + 2) for k in range(3, 13, 2))
+UNKNOWNS = 13
 STEPS = np.array([0.02, 0.01, 0.01])
 """Of the derivatives by the logarithm of the aspect, pitch and roll."""
 
-SHAPE_SD, PLACE_SD = 0.03, 0.12e-3
+SHAPE_SD, PLACE_SD = 0.04, 0.12e-3
 """Errors of the correction itself: of ln(a/b), and of the centres (m)."""
 
-LASTING = 1.0
-"""s for which such an error lasts: measurements that follow each other faster share it."""
+LASTING = 0.05
+"""Change of the contact's depth (`PoseCorrection.depth`) over which such an error stays."""
 
-TILT_WANDER, PLACE_WANDER = 0.03, 0.2e-3
-"""rad and m, by which finger and plate turn and move in a second."""
+PLACE_WANDER = 0.2e-3
+"""m, by which finger, plate and sensor move in a second."""
+
+ASPECT_WANDER = 0.1
+"""By which the logarithm of the aspect may differ from that in the contact before: another finger
+may come."""
+
+SURPRISES, TREND = 2.0, 12.0
+"""Measurements over which squares of their distances from what is expected are averaged, in
+standard deviations, and over which the distances themselves are: these tell a slow change."""
+
+SURPRISED, LARGEST_SURPRISE = 3.0, 8.0
+"""Mean square from which tilt and places wander faster, and the most standard deviations that one
+measurement counts with in it."""
+
+QUICKEST = 100.0
+"""Times, at most, the variance of that wandering."""
+
+LATEST = 0.3
+"""s before the present, at most, of which the last outline tells the tilt."""
+
+DISAGREEMENT = 4.0
+"""Mean squared standard deviations by which the torque's origin lies beside its place from which
+camera and torque contradict each other."""
+
+TINY = 1e-30
+"""Variance in place of 0, of an unknown that is known."""
 
 PRESSURE_PERIOD = nanoseconds(1.0 / 30.0)
 """ns of torque samples that are taken together."""
@@ -58,10 +93,8 @@ OUTLIER = 4.0
 """Standard deviations from which a measurement counts less."""
 
 PLACE_LIMIT = 4.0
-"""Standard deviations of the pad's place by which a centre of pressure may lie beside the pad."""
-
-REMEMBERED = 8192
-"""Samples of the round pad's area that are remembered."""
+"""Standard deviations of the places of pad and sensor by which a centre of pressure may lie beside
+the pad."""
 
 CERTAIN_TILT = math.radians(3.0)
 
@@ -112,8 +145,6 @@ class PoseEstimator:
         """
         self._axis, self._sign = axis_of(normal_axis)
         self._first, self._second = lateral_axes(normal_axis)
-        # Seen towards the finger, the other two axes of a sensor that is turned over are mirrored.
-        self._mirror = -1.0 if self._sign > 0 else 1.0
         self.reset()
 
     def reset(self) -> None:
@@ -129,7 +160,7 @@ class PoseEstimator:
         self.mean[ASPECT] = math.log(self._assumed.pose.aspect)
         self.covariance[ASPECT, ASPECT] = settings.pad_aspect_sd**2
         self._touching = self._outlined = self._pressed = self._pressed_outside = False
-        self._updated = self._given = 0
+        self._given = 0
         self._sum, self._count, self._sum_since = np.zeros(2), 0, 0
         self._pressure = (math.nan, math.nan)
         self._correction = None
@@ -137,16 +168,19 @@ class PoseEstimator:
 
     def _begin(self, stamp_ns: int) -> None:
         """A new contact: another tilt and place, the same pad."""
-        settings = self.settings
-        known = self._assumed.pose
-        self.mean[1:] = known.pitch, known.roll, 0.0, 0.0, 0.0, 0.0
-        self.mean = self._bounded(self.mean)
-        self.covariance[1:, :] = self.covariance[:, 1:] = 0.0
-        sds = settings.tilt_sd, settings.pad_place_sd, self._zero.sd
-        np.fill_diagonal(self.covariance[1:, 1:], np.repeat(np.square(sds), 2))
+        settings, known = self.settings, self._assumed.pose
+        aspect, unsure = self.mean[ASPECT], self.covariance[ASPECT, ASPECT] + ASPECT_WANDER**2
+        place, origin = settings.pad_place_sd, math.hypot(settings.sensor_place_sd, PLACE_SD)
+        sds = settings.tilt_sd, place, SHAPE_SD, PLACE_SD, self._zero.sd, origin
+        wanders = settings.tilt_wander, PLACE_WANDER, 0.0, 0.0, 0.0, PLACE_WANDER
+        self._variances = np.append(0.0, np.repeat(np.square(sds), 2))
+        self._wanders = np.append(0.0, np.repeat(np.square(wanders), 2))
+        self._known = self._bounded(np.array([aspect, known.pitch, known.roll] + [0.0] * 10))
+        self.mean, self.covariance = self._known.copy(), np.diag(self._variances)
+        self.covariance[ASPECT, ASPECT] = min(unsure, settings.pad_aspect_sd**2)
         self._outlined = self._pressed = self._pressed_outside = False
-        self._outlined_at = self._pressed_at = stamp_ns
-        self._updated = stamp_ns
+        self._updated, self._seen, self._depth = stamp_ns, stamp_ns, math.nan
+        self._surprise, self._trend = np.ones(2), np.zeros(6)
         self._sum[:], self._count, self._sum_since = 0.0, 0, stamp_ns
         self._correction = None
 
@@ -182,9 +216,12 @@ class PoseEstimator:
             self.reset()
             self.outlines.jump_back(stamp)
         round_area = self._assumed.round_area(estimate.area) if estimate.area > 0 else 0.0
+        silent = bool(self._areas) and stamp - self._areas[-1][0] > nanoseconds(SILENCE)
         self._areas.append((stamp, round_area))
-        if estimate.in_contact and not self._touching:
-            self._zero.touch()
+        if silent:
+            self._zero.forget()
+        if estimate.in_contact and (silent or not self._touching):
+            self._zero.touch(self._arm)
             self._begin(stamp)
         elif self._touching and not estimate.in_contact:
             self._zero.leave(stamp)
@@ -192,7 +229,7 @@ class PoseEstimator:
         told = any(torque) and all(map(math.isfinite, (*torque, *force)))
         moment = self._moment(force, torque) if told else None
         if moment is not None and not self._touching:
-            self._zero.see_air(stamp, moment)
+            self._zero.see_air(stamp, moment, float(force[self._axis]))
         for seen, outline in self.outlines.due(stamp):
             if self._touching and seen >= estimate.onset_ns:
                 self._see_outline(seen, outline)
@@ -205,12 +242,23 @@ class PoseEstimator:
             return
         self._add_pressure(stamp, round_area, float(force[self._axis]), moment)
 
+    @property
+    def _arm(self) -> float:
+        """How far (m) from the torque's origin the pad may press, as far as is known."""
+        settings = self.settings
+        beside = settings.pad_x - settings.sensor_x, settings.pad_y - settings.sensor_y
+        return math.hypot(*beside) + self._assumed.geometry.pad_semi_axis_radial
+
     def _moment(self, force: Sequence[float], torque: Sequence[float]) -> tuple[float, float]:
         """Centre of pressure times the force along the normal axis (2,) in N m, in sensor axes."""
-        # M = r × F with r = (x, y, depth towards the finger), the axes in a circle.
+        # Whether the sensor's axis points from the plate to the finger: the plate is pressed
+        # against that direction, the finger along it.
+        up = self._sign if self.settings.wrench_on_finger else -self._sign
+        # M = r × F with r = (x, y, depth towards the finger), the axes in a circle. Seen towards
+        # the finger, the other two axes of a sensor that is turned over are mirrored.
         a, b = self._first, self._second
-        height = -self._sign * self.settings.sensor_depth
-        along = height * force[a] - torque[b], self._mirror * (height * force[b] + torque[a])
+        height = up * self.settings.sensor_depth
+        along = height * force[a] - torque[b], up * (height * force[b] + torque[a])
         return float(along[0]), float(along[1])
 
     def _see_outline(self, stamp_ns: int, outline: MeasuredOutline) -> None:
@@ -222,13 +270,9 @@ class PoseEstimator:
         shape = math.log(ratio) * np.array([math.cos(double), math.sin(double)])
         shape_sd = math.hypot(outline.major_sd / outline.major, outline.minor_sd / outline.minor)
         measured = np.concatenate([shape, self._to_finger(outline.center)])
-        shared = self._shared(stamp_ns - self._outlined_at)
-        own = (
-            math.hypot(shape_sd, shared * SHAPE_SD),
-            math.hypot(outline.center_sd, shared * PLACE_SD),
-        )
-        self._correct(stamp_ns, area, measured, np.repeat(own, 2), slice(0, 4))
-        self._outlined, self._outlined_at = True, stamp_ns
+        sds = np.repeat((shape_sd, outline.center_sd), 2)
+        self._correct(stamp_ns, area, measured, sds, slice(0, 4))
+        self._outlined, self._seen = True, stamp_ns
 
     def _add_pressure(
         self, stamp: int, round_area: float, normal: float, moment: tuple[float, float]
@@ -246,21 +290,17 @@ class PoseEstimator:
         self._sum[:], self._count, self._sum_since = 0.0, 0, stamp
         place = self._to_finger(self._pressure)
         pad = self._assumed.geometry.pad_semi_axis_radial * max(math.exp(self.mean[ASPECT]), 1.0)
-        farthest = pad + PLACE_LIMIT * self.settings.pad_place_sd
+        places = self.settings.pad_place_sd, self.settings.sensor_place_sd
+        farthest = pad + PLACE_LIMIT * math.hypot(*places)
         # Also where it is NaN, the sum of endless torques of both signs.
         self._pressed_outside = not math.hypot(place[0], place[1]) <= farthest
         if self._pressed_outside:
             return
-        shared = self._shared(stamp - self._pressed_at)
-        sd = math.hypot(self.settings.torque_noise / abs(normal), shared * PLACE_SD)
-        self._correct(stamp, round_area, place, np.full(2, sd), slice(4, 6), 1.0 / abs(normal))
-        self._pressed, self._pressed_at = True, stamp
-
-    @staticmethod
-    def _shared(passed_ns: int) -> float:
-        """Factor for an error of the correction that measurements within LASTING share."""
-        passed = min(max(passed_ns / NANOSECONDS, 1e-3), LASTING)
-        return math.sqrt(LASTING / passed)
+        sds = np.full(2, self.settings.torque_noise / abs(normal))
+        self._correct(stamp, round_area, place, sds, slice(4, 6), 1.0 / abs(normal))
+        self._pressed = True
+        if not self._outlined:
+            self._seen = stamp
 
     # Filter ----------------------------------------------------------------------------------
 
@@ -275,10 +315,7 @@ class PoseEstimator:
     ) -> None:
         """Update by measurements; `which`: of those that `_expected` gives; per_torque (1/N): what
         a torque moves the centre of pressure by."""
-        passed = max(stamp_ns - self._updated, 0) / NANOSECONDS
-        self._updated = max(stamp_ns, self._updated)
-        for k, wander in ((1, TILT_WANDER), (2, TILT_WANDER), (3, PLACE_WANDER), (4, PLACE_WANDER)):
-            self.covariance[k, k] += wander**2 * passed
+        self._wander(stamp_ns)
         prior, spread = self.mean.copy(), self.covariance
         # A wrong aspect outlasts the contact. One that is out itself may come back.
         tilt = Pose(1.0, float(prior[PITCH]), float(prior[ROLL])).tilt
@@ -290,14 +327,17 @@ class PoseEstimator:
             gap = measured - expected - h @ (prior - mean)
             innovation = h @ spread @ h.T + np.diag(sds**2)
             size = gap @ np.linalg.solve(innovation, gap) / len(gap)
+            if mean is prior:
+                self._see_surprise(gap / np.sqrt(np.diag(innovation)), which)
             if size > OUTLIER**2:
                 innovation += np.diag(sds**2) * (size / OUTLIER**2 - 1.0)
             gain = np.linalg.solve(innovation, h @ spread).T
             if not learns_aspect:
                 gain[ASPECT] = 0.0
             found = self._bounded(prior + gain @ gap)
-            step, mean = found - mean, found
-            if np.all(np.abs(step) < 0.3 * np.sqrt(np.diag(spread)) + 1e-9):
+            # All else is linear.
+            step, mean = np.abs(found - mean)[: PLACE.start], found
+            if np.all(step < 0.3 * np.sqrt(np.diag(spread)[: PLACE.start]) + 1e-9):
                 break
         self.mean = mean
         kept = np.eye(UNKNOWNS) - gain @ h
@@ -306,6 +346,36 @@ class PoseEstimator:
         spread = kept @ spread @ kept.T + gain @ noise @ gain.T
         self.covariance = 0.5 * (spread + spread.T)
         self._correction = None
+
+    def _see_surprise(self, gap: np.ndarray, which: slice) -> None:
+        """Take note of how far measurements lie beside what is expected, in standard deviations."""
+        gap = np.clip(gap, -LARGEST_SURPRISE, LARGEST_SURPRISE)
+        self._trend[which] += (gap - self._trend[which]) / TREND
+        steady = (2.0 * TREND - 1.0) * self._trend[which] ** 2
+        square = float(np.max(np.maximum(gap**2, steady)))
+        kind = int(which.start > 0)
+        self._surprise[kind] += (square - self._surprise[kind]) / SURPRISES
+
+    @property
+    def _wandering(self) -> np.ndarray:
+        """Variances (UNKNOWNS,) that a second adds."""
+        quickened = max(float(self._surprise.max()) / SURPRISED, 1.0) ** 3
+        return min(quickened, QUICKEST) * self._wanders
+
+    def _wander(self, stamp_ns: int) -> None:
+        """What has changed since the last measurement."""
+        passed = max(stamp_ns - self._updated, 0) / NANOSECONDS
+        self._updated = max(stamp_ns, self._updated)
+        depth = self._assumed.depth(self._areas[-1][1])
+        deepened = 0.0 if math.isnan(self._depth) else abs(depth - self._depth)
+        self._depth = depth
+        # Each unknown forgets so that, left alone, it keeps the deviation that it began with.
+        rates = passed * self._wandering / np.maximum(self._variances, TINY)
+        rates[SHAPE] = rates[CENTER] = 2.0 * deepened / LASTING
+        kept = np.exp(-0.5 * rates)
+        self.mean = self._known + kept * (self.mean - self._known)
+        self.covariance *= np.outer(kept, kept)
+        self.covariance += np.diag(self._variances * (1.0 - kept**2))
 
     def _bounded(self, mean: np.ndarray) -> np.ndarray:
         low, high = np.log(ASPECTS)
@@ -320,12 +390,13 @@ class PoseEstimator:
         found = self._corrected(mean).outline(area)
         shape = math.log(found.semi_axes[0] / found.semi_axes[1])
         double = 2.0 * found.orientation
-        place = mean[PLACE]
+        aside = mean[PLACE] + mean[CENTER]
+        torque = mean[ORIGIN] + per_torque * mean[ZERO]
         return np.concatenate(
             [
-                [shape * math.cos(double), shape * math.sin(double)],
-                found.center + place,
-                found.center_of_pressure + place + per_torque * mean[ZERO],
+                mean[SHAPE] + (shape * math.cos(double), shape * math.sin(double)),
+                found.center + aside,
+                found.center_of_pressure + aside + torque,
             ]
         )
 
@@ -341,8 +412,10 @@ class PoseEstimator:
             ahead = self._expected(moved, area, per_torque)
             moved[k] -= 2.0 * size
             slope[:, k] = (ahead - self._expected(moved, area, per_torque)) / (2.0 * size)
-        slope[2, 3] = slope[3, 4] = slope[4, 3] = slope[5, 4] = 1.0
-        slope[4, 5] = slope[5, 6] = per_torque
+        one = np.eye(2)
+        slope[0:2, SHAPE] = slope[2:4, PLACE] = slope[2:4, CENTER] = one
+        slope[4:6, PLACE] = slope[4:6, CENTER] = slope[4:6, ORIGIN] = one
+        slope[4:6, ZERO] = per_torque * one
         return middle, slope
 
     def _corrected(self, mean: np.ndarray) -> PoseCorrection:
@@ -368,7 +441,14 @@ class PoseEstimator:
         """Shape at the sample that `add` had last."""
         if self._correction is None:
             self._correction = self._corrected(self.mean)
-        sds = np.sqrt(np.maximum(np.diag(self.covariance), 0.0)).tolist()
+        apart = self.mean[ORIGIN]
+        disagreement = float(apart @ apart) / (2.0 * self._variances[ORIGIN][0])
+        sds = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        behind = min(max(estimate.stamp_ns - self._seen, 0) / NANOSECONDS, LATEST)
+        since = np.hypot(sds[1:3], np.sqrt(behind * self._wandering[1:3]))
+        sds[1:3] = np.minimum(since, self.settings.tilt_sd)
+        # It is not known which of the two is wrong.
+        sds[1:3] *= math.sqrt(max(disagreement, 1.0))
         aspect, pitch, roll = math.exp(self.mean[ASPECT]), float(self.mean[1]), float(self.mean[2])
         flags = 0
         if not self._touching:
@@ -377,7 +457,7 @@ class PoseEstimator:
             flags |= ShapeFlag.OUTLINE_MISSING
         if math.isnan(self._pressure[0]) and not self._pressed:
             flags |= ShapeFlag.TORQUE_MISSING
-        if self._pressed_outside:
+        if self._pressed_outside or disagreement > DISAGREEMENT:
             flags |= ShapeFlag.PRESSURE_OUTSIDE
         if max(sds[1:3]) > CERTAIN_TILT:
             flags |= ShapeFlag.TILT_UNCERTAIN
@@ -391,7 +471,7 @@ class PoseEstimator:
             scale = math.sqrt(area / found.area)
             axes = found.semi_axes[0] * scale, found.semi_axes[1] * scale
             angle = _half_turn(found.orientation + self.settings.finger_direction)
-            center = self._to_plate(found, self.mean[PLACE])
+            center = self._to_plate(found, self.mean[PLACE] + self.mean[CENTER])
         return ShapeEstimate(
             estimate.stamp_ns,
             area,
@@ -400,11 +480,11 @@ class PoseEstimator:
             center,
             self._pressure if self._touching else (math.nan, math.nan),
             aspect,
-            aspect * sds[0],
+            aspect * float(sds[0]),
             pitch,
-            sds[1],
+            float(sds[1]),
             roll,
-            sds[2],
+            float(sds[2]),
             int(flags),
         )
 

@@ -31,6 +31,15 @@ class PoseSettings(Settings):
         minimum=0.0,
         maximum=0.6,
     )
+    tilt_wander: float = _runtime(
+        0.03,
+        "Standard deviation of what pitch and roll change by in a second of contact, where the "
+        "finger rolls; it grows with the square root of time.",
+        unit="rad/√s",
+        minimum=0.0,
+        maximum=3.0,
+        advice="0.1 for a finger that is rolled on purpose; the tilt is less certain then.",
+    )
     pad_x: float = _runtime(
         0.0,
         "Place of the pad's centre (that of its ellipsoid, in the bone) along x of the plate.",
@@ -43,7 +52,7 @@ class PoseSettings(Settings):
     )
     pad_place_sd: float = _runtime(
         3e-3,
-        "Standard deviation of that place; the tilt is known as well as it is.",
+        "Standard deviation of that place, in a contact too; the tilt is known as well as it is.",
         unit="m",
         minimum=1e-5,
         maximum=0.1,
@@ -68,10 +77,23 @@ class PoseSettings(Settings):
     )
     sensor_depth: float = _runtime(
         0.0,
-        "Depth of the torque's origin below the surface of the plate.",
+        "Depth of the torque's origin below the surface of the plate; negative above it, as "
+        "behind the finger.",
         unit="m",
         minimum=-0.2,
         maximum=0.2,
+    )
+    sensor_place_sd: float = _runtime(
+        1e-3,
+        "Standard deviation of that origin, in x and y, beside the plate that the camera sees.",
+        unit="m",
+        minimum=0.0,
+        maximum=0.1,
+    )
+    wrench_on_finger: bool = _runtime(
+        False,
+        "The wrench is what the plate does to the finger, as a sensor behind the finger measures "
+        "it, and not what the finger does to the plate.",
     )
     sensor_direction: float = _runtime(
         0.0,

@@ -16,7 +16,10 @@ from ..sensor_air import BLOCK, BLOCKS, LEAST_BLOCKS
 
 PERIOD = nanoseconds(BLOCK)
 LARGEST = 10.0
-"""N m; a larger moment is no rest of a tare, and is left out."""
+"""N m and N; a larger moment or force is no rest of a tare, and is left out."""
+
+TINY = 1e-20
+"""N² m²; moments without noise have equal weights."""
 
 
 class TorqueZero:
@@ -29,32 +32,45 @@ class TorqueZero:
     def __init__(self, sd: float) -> None:
         self._unseen = sd
         self._blocks: deque[np.ndarray] = deque(maxlen=int(BLOCKS))
+        self.forget()
+        self.touch(0.0)
+
+    def forget(self) -> None:
+        """The sensor may have another zero from now on."""
+        self._blocks.clear()
         self.leave(0)
-        self.touch()
 
     def leave(self, stamp_ns: int) -> None:
         """A contact has ended; the block that follows it is left out."""
-        self._sum, self._count = np.zeros(2), 0
+        self._sum, self._count = np.zeros(3), 0
         self._since = self._newest = stamp_ns + PERIOD
 
-    def see_air(self, stamp_ns: int, moment: tuple[float, float]) -> None:
-        """A moment (2,) in N m in the air."""
+    def see_air(self, stamp_ns: int, moment: tuple[float, float], force: float) -> None:
+        """A moment (2,) in N m and the force along the normal axis (N) in the air."""
         if not -PERIOD <= stamp_ns - self._newest < 2 * PERIOD:
             self.leave(stamp_ns)
-        if stamp_ns < self._since or not math.hypot(*moment) <= LARGEST:
+        if stamp_ns < self._since or not math.hypot(*moment, force) <= LARGEST:
             return
         self._newest = stamp_ns
-        self._sum += moment
+        self._sum += *moment, force
         self._count += 1
         if stamp_ns - self._since >= PERIOD:
             self._blocks.append(self._sum / self._count)
-            self._sum, self._count, self._since = np.zeros(2), 0, stamp_ns
+            self._sum, self._count, self._since = np.zeros(3), 0, stamp_ns
 
-    def touch(self) -> None:
-        """A contact begins."""
+    def touch(self, arm: float) -> None:
+        """A contact begins, at most `arm` (m) from the torque's origin.
+
+        A finger may have rested there before, too lightly for a contact: what its force makes of
+        the moment counts as not known.
+        """
         self.mean, self.sd = (0.0, 0.0), self._unseen
         if len(self._blocks) >= LEAST_BLOCKS:
             blocks = np.array(self._blocks)
-            x, y = blocks.mean(axis=0)
+            moments, resting = blocks[:, :2], arm * blocks[:, 2]
+            scatter = float(moments.var(axis=0).mean())
+            weights = 1.0 / (scatter + resting**2 + TINY)
+            weights /= weights.sum()
+            x, y = weights @ moments
             self.mean = float(x), float(y)
-            self.sd = math.sqrt(float(blocks.var(axis=0).mean()))
+            self.sd = math.sqrt(scatter + float(weights @ resting**2))
