@@ -62,7 +62,7 @@ EDGE = 0.7
 EXCHANGES = 80
 FAR = 10.0
 """Where skin is held that cannot touch, over half the pad's width."""
-FINGERS = 1375
+FINGERS = 907
 KINDS = ("pitch", "roll"), ("pitch", "level", "roll"), ("both", "roll"), ("pitch", "both")
 """Of the poses of fingers in turn."""
 

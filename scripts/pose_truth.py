@@ -7,11 +7,11 @@
     python scripts/pose_truth.py test src/finger_model/finger_model/data/pose_held_out.csv
 
 writes a row for each finger, pose and force. `learn` gives the fingers that `finger_model.pose` is
-fitted to: the default one in six poses, then such as lie all over the population box; `test` those
-kept aside. Fingers that the file has already are kept, so that a run may be broken off and taken up
-again; `--part 0 2` and `--part 1 2` are two halves for two processes with a table each. A pose
-takes some 20 s of a core, one that is tilted about both axes four times as long; every third finger
-has one.
+fitted to: the default one in six poses, then such as lie all over the population box, the last ones
+mostly in poses that touch far aside first; `test` those kept aside. Fingers that the file has
+already are kept, so that a run may be broken off and taken up again; `--part 0 2` and `--part 1 2`
+are two halves for two processes with a table each. A pose takes some 20 s of a core, one that is
+tilted about both axes four times as long.
 
 Areas are those of the three-dimensional model over a smooth curve through its areas of the round
 pad on a level plate, times those of the axisymmetric model: what the mesh does to both cancels.
@@ -42,6 +42,7 @@ from finger_model.geometry import Geometry
 from finger_model.laws import StandardLinearSolid
 from finger_model.pose.correction import SKIN_RATIOS
 from finger_model.pose.pose import Pose
+from finger_model.pose.touch import first_touch
 from finger_model.reduced.population import BOX
 from finger_model.solid3d.contact import Contact
 from finger_model.solid3d.full_order import SolidModel
@@ -54,8 +55,12 @@ SIZE = MeshSize(center=0.18, across=6, growth=1.11, bulk=5, bulk_growth=1.3)
 SEEDS = {"learn": 18, "test": 81}
 KINDS = ("pitch", "roll", "level", "both")
 """Of the poses of a finger."""
-FINGERS = {"learn": 156, "test": 24}
-"""In whole tables; the shipped one to learn from has 143 of them."""
+ASIDE = 0.4
+"""How far aside at least a steep pose touches first (see `finger_model.pose.touch`)."""
+FIRST_STEEP = 156
+"""Number of the finger from which on those to learn from have steep poses."""
+FINGERS = {"learn": 188, "test": 24}
+"""In whole tables; the shipped one to learn from has 175 of them."""
 MODULUS = 30e3
 """Pa; only ratios count."""
 FRICTION = (-0.3, 0.6)
@@ -141,11 +146,25 @@ def fingers(which: str) -> Iterator[tuple[Finger, list[Pose]]]:
         # Poses of their own random numbers: blocks of one sequence would give every finger alike
         # ones.
         rng = np.random.default_rng([SEEDS[which], number])
-        if which == "learn":
+        if which == "test":
+            kinds = KINDS[number % 4], KINDS[(number + 1) % 4]
+        elif number < FIRST_STEEP:
             kinds = KINDS if number % 3 == 0 else KINDS[:3]
         else:
-            kinds = KINDS[number % 4], KINDS[(number + 1) % 4]
+            yield finger, steep_poses(rng, finger)
+            continue
         yield finger, [random_pose(rng, kind) for kind in kinds]
+
+
+def steep_poses(rng: np.random.Generator, finger: Finger) -> list[Pose]:
+    """Two poses that touch far aside first, every fourth finger's first one tilted in any
+    direction, and one of any kind that is solved as half a finger."""
+    poses = []
+    for kind in ("pitch" if finger.number % 4 else "both", "pitch"):
+        tries = (random_pose(rng, kind) for _ in itertools.count())
+        aside = ((float(np.hypot(*first_touch(finger.geometry, p).aside)), p) for p in tries)
+        poses.append(next(pose for far, pose in aside if far > ASIDE))
+    return [*poses, random_pose(rng, KINDS[finger.number % 3])]
 
 
 def box_fingers(seed: int, first: int) -> Iterator[Finger]:

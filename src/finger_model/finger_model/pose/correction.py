@@ -42,7 +42,7 @@ LARGEST_ASPECT, LARGEST_TILT = 1.6, math.radians(30.0)
 """Up to which the correction was learned."""
 STEEP = 0.5
 """How far aside the first touch lies (see `Touch`) from which the correction is worse."""
-AREA_SD, STEEP_AREA_SD = 0.012, 0.065
+AREA_SD, STEEP_AREA_SD = 0.012, 0.08
 """Of ln of the area, before STEEP and beyond: root mean square errors of the fingers kept aside."""
 SMALLEST_ASPECT = 0.95
 """Learned was 1 and more, but the estimate of a round pad is now and then below. There the default
