@@ -74,7 +74,7 @@ def live_recording(
                 assert slip is not None
                 slips.append(slip_numbers(slip, followers.lateral_axes))
                 if shape is not None:
-                    shapes.append(encode(SHAPE, shape_fields(shape)))
+                    shapes.append(encode(SHAPE, shape_fields(shape, "plate")))
             before = now
             if k % 25 == 5 and not jump:
                 axes = 2.2e-3 * math.sqrt(normal), 1.8e-3 * math.sqrt(normal)

@@ -234,10 +234,7 @@ class PoseEstimator:
             if self._touching and seen >= estimate.onset_ns:
                 self._see_outline(seen, outline)
         pressed = estimate.normal_force > SMALLEST_FORCE and round_area > 0.0
-        if not self._touching or not pressed:
-            self._pressure = (math.nan, math.nan)
-            return
-        if moment is None:
+        if not self._touching or not pressed or moment is None:
             self._pressure = (math.nan, math.nan)
             return
         self._add_pressure(stamp, round_area, float(force[self._axis]), moment)
