@@ -18,6 +18,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from node_parameters import check_numbers, from_parameters
+
 from finger_common.flags import StateFlag
 
 BLIND_FLAGS = StateFlag.FORCE_INVALID | StateFlag.MODEL_FAILED
@@ -42,7 +44,8 @@ class AreaController:
     stale_after: s without a state until it holds; settle: s of good states before it goes on;
     open_after: s of states that know nothing until it opens; sure: relative deviation of the area
     up to which it moves at full speed. `force` is the force to press with (N), `reason` why it does
-    not control. Raises ValueError for an area that no fingertip has.
+    not control. Raises ValueError for an area that no fingertip has, and other settings that cannot
+    be.
     """
 
     target_area: float
@@ -64,6 +67,7 @@ class AreaController:
     _bad_since: float = field(default=math.inf, init=False)
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         if not 1e-7 <= self.target_area <= 1e-3:
             raise ValueError(
                 f"target_area is {self.target_area:g} m², not that of a fingertip; 30 mm² are "
@@ -137,7 +141,6 @@ class AreaController:
 def main() -> None:
     """Run the node."""
     import rclpy
-    from node_parameters import from_parameters
     from rclpy.executors import ExternalShutdownException
     from rclpy.qos import QoSProfile, ReliabilityPolicy
     from std_msgs.msg import Float64

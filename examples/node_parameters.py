@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import sys
+from collections.abc import Sequence
 from typing import Any, TypeVar
 
 from finger_common.cli import EXIT_BAD_INPUT
 from finger_common.errors import known_names
 
 T = TypeVar("T")
+
+
+def check_numbers(settings: Any, free: Sequence[str] = ()) -> None:
+    """Raise ValueError for a field that is given and is no number from 0 on; free: may be any."""
+    for field in dataclasses.fields(settings):
+        value = getattr(settings, field.name)
+        if field.init and field.name not in free and not 0.0 <= value < math.inf:
+            raise ValueError(f"{field.name} is {value:g}, a number from 0 on is needed")
 
 
 def from_parameters(node: Any, kind: type[T], **needed: Any) -> T:
@@ -35,5 +45,6 @@ def from_parameters(node: Any, kind: type[T], **needed: Any) -> T:
                 )
         return kind(**values)
     except (ValueError, ParameterException) as error:
-        print(f"{node.get_name()}: {error}", file=sys.stderr)
+        whole = "; write 5.0 for a whole number" if "INTEGER" in str(error) else ""
+        print(f"{node.get_name()}: {error}{whole}", file=sys.stderr)
         sys.exit(EXIT_BAD_INPUT)

@@ -16,6 +16,7 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
+from node_parameters import check_numbers, from_parameters
 
 from finger_common.flags import SlipFlag
 
@@ -33,7 +34,7 @@ class SlipGrip:
     long as friction is a guess. As long as no slip was seen the friction is a guess: the
     force falls slowly until a slip begins, which tells it. `force` is the force to grip with (N);
     it begins with the first one measured (NaN), for an object that is held already. Raises
-    ValueError for a margin that no friction gives.
+    ValueError for settings that cannot be.
     """
 
     margin: float = 0.2
@@ -54,8 +55,11 @@ class SlipGrip:
     _reflex: float = field(default=0.0, init=False)
 
     def __post_init__(self) -> None:
+        check_numbers(self, free=("force", "margin"))
         if not 0.0 <= self.margin < 1.0:
             raise ValueError(f"margin is {self.margin:g}, a number from 0 to below 1 is needed")
+        if self.smallest > self.largest:
+            raise ValueError(f"smallest, {self.smallest:g}, is above largest, {self.largest:g}")
 
     def on_slip(
         self,
@@ -180,7 +184,6 @@ def simulate() -> None:
 def run_node(arguments: list[str]) -> None:
     """Answer contact_slip with grip_force until Ctrl-C."""
     import rclpy
-    from node_parameters import from_parameters
     from rclpy.executors import ExternalShutdownException
     from rclpy.qos import QoSProfile, ReliabilityPolicy
     from std_msgs.msg import Float64

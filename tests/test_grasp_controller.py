@@ -294,6 +294,13 @@ def test_each_setting_of_an_example_is_a_parameter_of_its_node(
         ),
         (["slip_grip.py", "--node", "--ros-args", "-p", "margin:=2.0"], "margin is 2"),
         (["slip_grip.py", "--node", "--ros-args", "-p", "margin:=wide"], "margin"),
+        (["slip_grip.py", "--node", "--ros-args", "-p", "rise:=-40.0"], "rise is -40"),
+        (["slip_grip.py", "--node", "--ros-args", "-p", "rise:=5"], "write 5.0"),
+        (["slip_grip.py", "--node", "--ros-args", "-p", "smallest:=12.0"], "above largest"),
+        (
+            ["grasp_controller.py", "--ros-args", "-p", "largest_force:=.nan"],
+            "largest_force is nan",
+        ),
     ],
 )
 def test_a_parameter_that_an_example_cannot_use_ends_it(

@@ -36,6 +36,12 @@ class ParameterFile:
                     f"{self.path}: '{node}' has no 'ros__parameters' with 'name: value' lines; "
                     "see the rig parameter file of finger_bringup"
                 )
+            if len(section) > 1:
+                others = ", ".join(f"'{key}'" for key in section if key != "ros__parameters")
+                raise InputError(
+                    f"{self.path}: '{node}' has {others} beside 'ros__parameters', which ROS does "
+                    "not take; move that to a section of its own"
+                )
             found[node] = {**found.get(node, {}), **values}
         return found
 

@@ -524,15 +524,20 @@ def test_endless_torques_are_left_out():
     assert np.all(np.isfinite(estimator.mean)) and np.all(np.isfinite(estimator.covariance))
 
 
-def pressed_with_zero(offset, seconds, silence=0.0):
+def pressed_with_zero(offset, seconds, silence=0.0, invalid=False):
     """Shape of a level press of 0.5 N, after this time in the air with noise of the torque, where
-    the torque has an offset (N m) about y; with a silence (s) in the press: only after that."""
+    the torque has an offset (N m) about y; with a silence (s) in the press: only after that;
+    invalid: with samples in the silence that are no numbers."""
     rng = np.random.default_rng(0)
     settings = PoseSettings(pad_place_sd=2e-4, sensor_place_sd=0.0)
     estimator = PoseEstimator(PoseCorrection(Geometry(), Pose(), SKIN), settings)
     air = round(100 * seconds)
     for k in range(-air, 200):
         late = silence if k >= 100 else 0.0
+        if invalid and k == 100:
+            for wait in range(0, int(1e9 * silence), 10**8):
+                nothing = estimate(11 * 10**9 + wait, ROUND, math.nan)
+                estimator.add(nothing, [math.nan] * 3, [math.nan] * 3)
         stamp = 10**10 + 10**7 * k + int(1e9 * late)
         sample = estimate(stamp, ROUND if k >= 0 else 0.0, 0.5 if k >= 0 else 0.0)
         torque = rng.normal(0.0, 2e-4, 3)
@@ -563,6 +568,8 @@ def test_a_zero_of_the_torque_from_before_a_silence_is_forgotten():
     assert after.roll_stddev == pytest.approx(untold.roll_stddev, rel=0.05)
     assert after.flags & ShapeFlag.TILT_UNCERTAIN
     assert blink.roll_stddev < 0.8 * after.roll_stddev
+    invalid = pressed_with_zero(1e-3, 3.0, 1.5, invalid=True)
+    assert (invalid.roll, invalid.roll_stddev) == (after.roll, after.roll_stddev)
 
 
 def test_a_zero_of_the_torque_that_the_air_did_not_tell_is_part_of_the_deviation():

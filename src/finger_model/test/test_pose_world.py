@@ -285,6 +285,27 @@ def test_a_sensor_under_the_plate_that_gives_the_reaction_is_understood(normal_a
     assert shape.flags == 0 and error(pose, shape) < CERTAIN
 
 
+@pytest.mark.parametrize("seconds", [2.0, 6.0])
+@pytest.mark.parametrize(("torque", "most"), [(False, 1.6), (True, 2.0)])
+def test_a_pad_whose_place_is_hardly_known_has_no_sure_tilt(seconds, torque, most):
+    """With the default deviation of its place; nothing that repeats makes the tilt sure."""
+    settings = PoseSettings(sensor_depth=0.02)
+    ratios = []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        place = settings.pad_place_sd * rng.standard_normal(2)
+        world = World(settings, place=tuple(place.tolist()), seed=seed)
+        if not torque:
+            world.wrench = lambda force, place: ([0.0, 0.0, -force], [0.0, 0.0, 0.0])
+        tilt = np.clip(math.radians(12.0) * rng.standard_normal(2), -0.35, 0.35)
+        pose = Pose(float(rng.uniform(1.0, 1.5)), *tilt.tolist())
+        shape = world.press(pose, seconds, lambda t: 1.0)[-1][1]
+        errors = np.array([shape.pitch - pose.pitch, shape.roll - pose.roll])
+        ratios.extend((errors / [shape.pitch_stddev, shape.roll_stddev]).tolist())
+        assert shape.flags & ShapeFlag.TILT_UNCERTAIN or error(pose, shape) < CERTAIN
+    assert np.sqrt(np.mean(np.square(ratios))) < most
+
+
 # Before and after a contact --------------------------------------------------------------------
 
 

@@ -67,11 +67,12 @@ def serialize_slips(rows: np.ndarray, axes: tuple[int, int], frame_id: str = "")
 
 
 def serialize_shapes(
-    shapes: Iterable[tuple[int, ShapeEstimate]], frame_id: str = ""
+    shapes: Iterable[tuple[int, ShapeEstimate]], frame_at: Callable[[int], str]
 ) -> Iterator[tuple[int, bytes]]:
-    """Shapes as serialized ContactShape, each with the log time (ns) that it came with."""
+    """Shapes as serialized ContactShape, each with the log time (ns) that it came with; frame_at:
+    frame by log time."""
     for log_ns, shape in shapes:
-        yield log_ns, encode(SHAPE_TYPE, shape_fields(shape, frame_id))
+        yield log_ns, encode(SHAPE_TYPE, shape_fields(shape, frame_at(log_ns)))
 
 
 def columns(block: EstimateBlock, start_ns: int) -> dict[str, np.ndarray]:

@@ -11,6 +11,7 @@ parameter sets, resets and late inputs of the live node, and gives what it publi
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -239,8 +240,8 @@ class _Run:
         )
         # What pictures show beside the areas that wait, by stamp.
         self.seen: dict[int, tuple[tuple[float, float], MeasuredOutline]] = {}
-        # Frame of the newest area.
-        self.plate = "" if images is None else PLATE
+        # Frames of areas, each with the log time (ns) from which on it holds.
+        self.plates: list[tuple[int, str]] = [] if images is None else [(0, PLATE)]
         self.before = Wrenches(np.zeros(1, np.int64), np.zeros(1, np.int64), *np.zeros((2, 1, 3)))
         # Images are not held for so long: they need memory.
         self.queue = InputOrder(topics.events is not None and topics.image is None)
@@ -250,6 +251,8 @@ class _Run:
         # Stamps of the recorded node's first event and state.
         self.first_event: int | None = None
         self.first_state: int | None = None
+        # Whether the recording begins with the node's first sample.
+        self.began_here = False
         # Settings that are given replace those of the recording, known or not.
         self.axis = options.axis
         given = options.estimator or options.normal_axis
@@ -360,7 +363,9 @@ class _Run:
             if value is None:
                 _, area, sd, flags = area_of(item.message)
                 self.seen[stamp] = stick_of(item.message), outline_of(item.message)
-                self.plate = item.message.header.frame_id
+                plate = item.message.header.frame_id
+                if not self.plates or self.plates[-1][1] != plate:
+                    self.plates.append((item.log_time_ns, plate))
                 area, sd = area * mapped.scale, sd * mapped.scale
             else:
                 area, sd, flags = value, RELATIVE_AREA_SD * abs(value), 0
@@ -386,6 +391,13 @@ class _Run:
         self.started = True
         if self.output is not None and self.rewrites_events:
             self.output.write_event(event, item.log_time_ns, int(item.message.sequence))
+
+    def _plate_at(self, log_ns: int) -> str:
+        """Frame of the last area before; empty where there was none yet."""
+        passed = bisect_left(self.plates, log_ns, key=lambda entry: entry[0])
+        if passed == 0 and self.plates and not self.began_here:
+            return self.plates[0][1]  # the node had areas before the recording
+        return self.plates[passed - 1][1] if passed else ""
 
     def _add_area(self, log_ns: int, stamp: int, area: float, sd: float, flags: int) -> None:
         self.areas += 1
@@ -431,6 +443,8 @@ class _Run:
         found, frame = read_wrenches(items, self.decoder, mapped, self.malformed)
         if not len(found.stamp_ns):
             return
+        if not self.states and self.first_event is not None:
+            self.began_here = self.first_event >= int(found.stamp_ns[0])
         if not self.started:
             self.started = True
             event = self.estimator.start_event(int(found.stamp_ns[0]), "processed offline")
@@ -458,7 +472,9 @@ class _Run:
         if self.output is not None:
             self.output.write("contact_state", zip(logs, serialize(block, frame)))
             self.output.write("contact_slip", zip(logs, slips))
-            plate = plate_frame(self.plate, frame)
-            self.output.write("contact_shape", serialize_shapes(shapes, plate))
+            self.output.write(
+                "contact_shape",
+                serialize_shapes(shapes, lambda log_ns: plate_frame(self._plate_at(log_ns), frame)),
+            )
         for sink in self.sinks:
             sink(block)

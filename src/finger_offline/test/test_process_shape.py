@@ -62,8 +62,9 @@ def press_of(path: Path) -> None:
             bag.write("wrench", {"header": {"stamp": stamp}, "wrench": wrench})
             if k % 50 == 0:
                 center = turn @ found.center
+                frame = "glass" if k < 500 else "other_glass"
                 fields = {
-                    "header": {"stamp": stamp},
+                    "header": {"stamp": stamp, "frame_id": frame},
                     "gross_area": found.area if round_area else 0.0,
                     "area_stddev": 1e-6,
                     "centroid": dict(zip("xy", center.tolist())),
@@ -104,7 +105,7 @@ def test_outline_and_torque_tell_aspect_and_tilt(bag: Path, tmp_path: Path) -> N
     state = last(tmp_path / "out", "/finger/contact_state")
     assert shape.area == pytest.approx(state.area, rel=0.02)
     assert math.pi * shape.semi_axis_major * shape.semi_axis_minor == pytest.approx(shape.area)
-    assert shape.header.frame_id == "plate"
+    assert shape.header.frame_id == "other_glass"
     area = last(bag, "/finger/contact_area")
     assert shape.center.x == pytest.approx(area.centroid.x, abs=0.1e-3)
     assert shape.center.y == pytest.approx(area.centroid.y, abs=0.1e-3)
@@ -135,7 +136,7 @@ def live_recording(path: Path, pressed: Path) -> list[bytes]:
     estimator = ContactEstimator(load_reduced(), settings=settings)
     core = PoseEstimator(estimator.pose_correction)
     core.outlines.delay = settings.fusion_delay
-    shapes, samples, sequence = [], 0, 0
+    shapes, samples, sequence, frame = [], 0, 0, "plate"
     with open_bag(pressed) as source, BagWriter(path, {}) as bag:
 
         def tell(event, log: int) -> None:
@@ -151,6 +152,7 @@ def live_recording(path: Path, pressed: Path) -> list[bytes]:
                 sd, flags = message.area_stddev, message.flags
                 if estimator.add_area(stamp, message.gross_area, sd, flags):
                     core.expect_outline(stamp, outline_of(message))
+                frame = message.header.frame_id
                 continue
             samples += 1
             if samples in (301, 403, 705):
@@ -170,7 +172,7 @@ def live_recording(path: Path, pressed: Path) -> list[bytes]:
                 core.assume(estimator.pose_correction)
                 shape = core.add(estimate, force, torque)
                 if shape is not None:
-                    shapes.append(encode(SHAPE, shape_fields(shape, "plate")))
+                    shapes.append(encode(SHAPE, shape_fields(shape, frame)))
     return shapes
 
 

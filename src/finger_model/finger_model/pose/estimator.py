@@ -160,7 +160,7 @@ class PoseEstimator:
         self.mean[ASPECT] = math.log(self._assumed.pose.aspect)
         self.covariance[ASPECT, ASPECT] = settings.pad_aspect_sd**2
         self._touching = self._outlined = self._pressed = self._pressed_outside = False
-        self._given = 0
+        self._given = self._heard = 0
         self._sum, self._count, self._sum_since = np.zeros(2), 0, 0
         self._pressure = (math.nan, math.nan)
         self._correction = None
@@ -216,8 +216,11 @@ class PoseEstimator:
             self.reset()
             self.outlines.jump_back(stamp)
         round_area = self._assumed.round_area(estimate.area) if estimate.area > 0 else 0.0
-        silent = bool(self._areas) and stamp - self._areas[-1][0] > nanoseconds(SILENCE)
         self._areas.append((stamp, round_area))
+        known = math.isfinite(estimate.normal_force + estimate.lateral_force)
+        silent = known and 0 < self._heard < stamp - nanoseconds(SILENCE)
+        if known:
+            self._heard = stamp
         if silent:
             self._zero.forget()
         if estimate.in_contact and (silent or not self._touching):
@@ -267,7 +270,8 @@ class PoseEstimator:
         shape = math.log(ratio) * np.array([math.cos(double), math.sin(double)])
         shape_sd = math.hypot(outline.major_sd / outline.major, outline.minor_sd / outline.minor)
         measured = np.concatenate([shape, self._to_finger(outline.center)])
-        sds = np.repeat((shape_sd, outline.center_sd), 2)
+        errors = math.hypot(shape_sd, SHAPE_SD), math.hypot(outline.center_sd, PLACE_SD)
+        sds = np.repeat(errors, 2)
         self._correct(stamp_ns, area, measured, sds, slice(0, 4))
         self._outlined, self._seen = True, stamp_ns
 
@@ -293,7 +297,7 @@ class PoseEstimator:
         self._pressed_outside = not math.hypot(place[0], place[1]) <= farthest
         if self._pressed_outside:
             return
-        sds = np.full(2, self.settings.torque_noise / abs(normal))
+        sds = np.full(2, math.hypot(self.settings.torque_noise / abs(normal), PLACE_SD))
         self._correct(stamp, round_area, place, sds, slice(4, 6), 1.0 / abs(normal))
         self._pressed = True
         if not self._outlined:
