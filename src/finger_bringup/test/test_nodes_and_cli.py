@@ -266,6 +266,10 @@ def test_namespaces_of_a_parameter_file_may_be_nested(tmp_path: Path) -> None:
     [
         ("force: {rate: 500.0}\n", "'force' has no 'ros__parameters'"),
         ("/**/force:\n  ros__parameters: 5\n", "has no 'ros__parameters'"),
+        (
+            "/**:\n  ros__parameters: {a: true}\n  force: {ros__parameters: {rate: 2.0}}\n",
+            "'/**' has 'force' beside 'ros__parameters'",
+        ),
         ("hand:\n  force: {rate: 500.0}\n", "'hand/force' has no 'ros__parameters'"),
         ("a: [1\n", "not valid YAML"),
     ],
