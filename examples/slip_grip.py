@@ -6,7 +6,7 @@
 
 The node answers every `contact_slip` with the force to grip with, on `grip_force`
 (std_msgs/Float64, N). Each setting of `SlipGrip`, the controller itself, is a parameter of the
-node. It uses no ROS and needs no camera.
+node. The controller uses no ROS and needs no camera.
 """
 
 from __future__ import annotations
