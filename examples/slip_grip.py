@@ -30,8 +30,8 @@ class SlipGrip:
     margin: slip margin to hold; alarm: slip probability at which it grips harder at once, `reflex`
     times as hard, and again after `patience` (s) if that was not enough; smallest, largest: force
     (N); rise, fall: of the force (N/s); cautious: standard deviations by which friction is taken
-    lower than estimated; dither: share by which the force swings, `dither_rate` times a second, as
-    long as friction is a guess. As long as no slip was seen the friction is a guess: the
+    lower than estimated; dither: share by which the force steps up and down, `dither_rate` times a
+    second, as long as friction is a guess. As long as no slip was seen the friction is a guess: the
     force falls slowly until a slip begins, which tells it. `force` is the force to grip with (N);
     it begins with the first one measured (NaN), for an object that is held already. Raises
     ValueError for settings that cannot be.
@@ -44,10 +44,10 @@ class SlipGrip:
     rise: float = 40.0
     fall: float = 0.4
     cautious: float = 2.0
-    reflex: float = 1.3
+    reflex: float = 1.6
     patience: float = 0.15
-    dither: float = 0.06
-    dither_rate: float = 6.0
+    dither: float = 0.1
+    dither_rate: float = 12.0
     largest_step: float = 0.02
     force: float = math.nan
     _stamp: float = field(default=-math.inf, init=False)
@@ -100,7 +100,8 @@ class SlipGrip:
         change = min(max(wanted - self.force, -fall * elapsed), self.rise * elapsed)
         self.force += change
         # In slip the tangential force follows the grip, in a hold it does not: asking tells which.
-        ask = self.dither * math.sin(2.0 * math.pi * self.dither_rate * stamp) if guess else 0.0
+        up = (stamp * self.dither_rate) % 1.0 < 0.5
+        ask = (self.dither if up else -self.dither) if guess else 0.0
         return min(max(self.force * (1.0 + ask), self.smallest), self.largest)
 
 
@@ -120,13 +121,15 @@ def hold(
     seed: int = 0,
     fixed: float = 2.0,
     zero: float = 0.0,
+    grip_follows_load: bool = False,
 ) -> Outcome:
     """Two fingers take an object of 50 g, which is filled to 350 g between 2 and 8 s.
 
     controller: None for a grip with the fixed force (N), with which each begins; friction: of skin
     on the object, which the controller does not know. zero: what the sensor gives along the load in
-    the air (N). The gripper is open for 0.7 s and closes 0.3 s before the controller begins. It
-    follows its command within 30 ms; the force has 5 mN of noise. A slide of 20 mm is a drop.
+    the air (N). grip_follows_load: the estimator's setting. The gripper is open for 0.7 s and
+    closes 0.3 s before the controller begins. It follows its command within 30 ms; the force has
+    5 mN of noise. A slide of 20 mm is a drop.
     """
     from finger_model.estimator import ContactEstimator
     from finger_model.finger import load_reduced
@@ -134,7 +137,8 @@ def hold(
 
     rng = np.random.default_rng(seed)
     contact = ContactEstimator(load_reduced())
-    slip = SlipEstimator(SlipSettings(tangential_noise=0.005))
+    settings = SlipSettings(tangential_noise=0.005, grip_follows_load=grip_follows_load)
+    slip = SlipEstimator(settings)
     step = 0.002
     force = speed = slid = 0.0
     command = fixed
@@ -170,15 +174,20 @@ def hold(
     return Outcome(False, slid, float(np.mean(ratios)))
 
 
-def simulate() -> None:
-    """Print how a fixed grip and ours hold the object, for some frictions."""
+def simulate(seeds: int = 5) -> None:
+    """Print how a fixed grip and ours hold the object, for some frictions and noises."""
     print("friction  fixed 2 N      slip margin held: slid (mm), force over the least that holds")
     for friction in (0.25, 0.35, 0.5, 0.7, 1.0):
         fixed = hold(None, friction)
-        ours = hold(SlipGrip(force=2.0), friction)
+        ours = [hold(SlipGrip(force=2.0), friction, seed) for seed in range(seeds)]
+        slid = 1e3 * np.array([outcome.slid for outcome in ours])
+        dropped = sum(outcome.dropped for outcome in ours)
         text = "dropped" if fixed.dropped else f"{fixed.force_ratio:.2f}"
-        found = "dropped" if ours.dropped else f"{1e3 * ours.slid:.1f} mm   {ours.force_ratio:.2f}"
-        print(f"{friction:8.2f}  {text:13s}  {found}")
+        found = f"{slid.mean():.1f}, at most {slid.max():.1f} mm"
+        if dropped:
+            found += f", {dropped} of {seeds} dropped"
+        ratio = np.nanmean([outcome.force_ratio for outcome in ours])
+        print(f"{friction:8.2f}  {text:13s}  {found}   {ratio:.2f}")
 
 
 def run_node(arguments: list[str]) -> None:
