@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import rclpy
 from geometry_msgs.msg import WrenchStamped
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
 from finger_common.domains import free_domain
 from finger_common.node.qos import BEST_EFFORT, RELIABLE, stream_qos
@@ -49,8 +49,10 @@ def read(reliability: str, output: Path) -> None:
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     try:
-        executor.spin()
-    except KeyboardInterrupt:
+        # With a time limit: a signal between Python's check and the wait wakes no wait.
+        while rclpy.ok():
+            executor.spin_once(timeout_sec=0.2)
+    except (KeyboardInterrupt, ExternalShutdownException):
         pass
     output.write_text(json.dumps(delays))
     os._exit(0)
