@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -30,11 +31,15 @@ class SlipGrip:
     margin: slip margin to hold; alarm: slip probability at which it grips harder at once, `reflex`
     times as hard, and again after `patience` (s) if that was not enough; smallest, largest: force
     (N); rise, fall: of the force (N/s); cautious: standard deviations by which friction is taken
-    lower than estimated; dither: share by which the force steps up and down, `dither_rate` times a
-    second, as long as friction is a guess. As long as no slip was seen the friction is a guess: the
-    force falls slowly until a slip begins, which tells it. `force` is the force to grip with (N);
-    it begins with the first one measured (NaN), for an object that is held already. Raises
-    ValueError for settings that cannot be.
+    lower than estimated.
+
+    As long as no slip was seen the friction is a guess. The force then falls slowly until a slip
+    begins, which tells it, and steps up and down by the share `dither`, `dither_rate` times a
+    second. A gripper with a dead time of more than 30 ms answers that slip too late: it takes
+    dither 0 and unsure 1, the deviations by which a guess is taken lower.
+
+    `force` is the force to grip with (N); it begins with the first one measured (NaN), for an
+    object that is held already. Raises ValueError for settings that cannot be.
     """
 
     margin: float = 0.2
@@ -44,6 +49,7 @@ class SlipGrip:
     rise: float = 40.0
     fall: float = 0.4
     cautious: float = 2.0
+    unsure: float = 0.0
     reflex: float = 1.6
     patience: float = 0.15
     dither: float = 0.1
@@ -89,7 +95,8 @@ class SlipGrip:
         # |Q|: the margin is the mean over all frictions that may be, whose spread makes it smaller.
         spread = 1.0 + (friction_sd / friction) ** 2
         load = (1.0 - slip_margin) * friction * normal / spread
-        friction = max(friction - (0.0 if guess else self.cautious * friction_sd), 0.05)
+        cautious = self.unsure if guess else self.cautious
+        friction = max(friction - cautious * friction_sd, 0.05)
         wanted = load / ((1.0 - self.margin) * friction)
         if flags & SlipFlag.SLIPPING or probability > (0.4 if guess else self.alarm):
             if stamp - self._alarmed > self.patience:
@@ -122,14 +129,15 @@ def hold(
     fixed: float = 2.0,
     zero: float = 0.0,
     grip_follows_load: bool = False,
+    delay: float = 0.0,
 ) -> Outcome:
     """Two fingers take an object of 50 g, which is filled to 350 g between 2 and 8 s.
 
     controller: None for a grip with the fixed force (N), with which each begins; friction: of skin
     on the object, which the controller does not know. zero: what the sensor gives along the load in
     the air (N). grip_follows_load: the estimator's setting. The gripper is open for 0.7 s and
-    closes 0.3 s before the controller begins. It follows its command within 30 ms; the force has
-    5 mN of noise. A slide of 20 mm is a drop.
+    closes 0.3 s before the controller begins. It follows its command within 30 ms, after a dead
+    time of delay (s). The force has 5 mN of noise. A slide of 20 mm is a drop.
     """
     from finger_model.estimator import ContactEstimator
     from finger_model.finger import load_reduced
@@ -142,11 +150,13 @@ def hold(
     step = 0.002
     force = speed = slid = 0.0
     command = fixed
+    commands = deque([fixed] * round(delay / step))
     ratios = []
     for i in range(int(11.0 / step)):
         time = i * step - 1.0
         mass = float(np.interp(time, [0.5, 1.0, 2.0, 8.0], [1e-3, 0.05, 0.05, 0.35]))
-        force += ((command if time > -0.3 else 0.0) - force) * step / 0.03
+        commands.append(command if time > -0.3 else 0.0)
+        force += (commands.popleft() - force) * step / 0.03
         load = mass * GRAVITY / 2.0 if time > 0.0 else 0.0
         most = friction * force
         sliding = load > most or speed > 0.0

@@ -40,6 +40,18 @@ def test_an_object_is_held_by_an_estimator_that_knows_of_the_controller(
     assert 1.1 < found.force_ratio < 1.6
 
 
+@pytest.mark.parametrize("friction", [0.25, 0.35, 0.5])
+def test_a_gripper_with_a_dead_time_holds(example: Any, friction: float) -> None:
+    found = example.hold(example.SlipGrip(force=2.0), friction, delay=0.02)
+    assert not found.dropped
+    assert found.slid < 0.012
+    late = example.SlipGrip(force=2.0, dither=0.0, unsure=1.0)
+    found = example.hold(late, friction, delay=0.1)
+    assert not found.dropped
+    assert found.slid < 0.01
+    assert found.force_ratio < 3.5
+
+
 @pytest.mark.parametrize("zero", [0.3, -0.3])
 def test_the_zero_of_the_lateral_force_does_not_take_the_margin(example: Any, zero: float) -> None:
     """0.3 N along the load, as of a hand that has turned since its tare."""
