@@ -24,6 +24,7 @@ import math
 import numpy as np
 
 from ..compiled import njit
+from ..paper import NATURAL
 from . import level
 from .elements import first_pull
 from .plateau import CLEAR_SLIP, SPREAD, direction, mean_log_ratio, slip_share
@@ -33,7 +34,7 @@ LEVEL, TILTED = 0, 1
 KINDS = (LEVEL, TILTED)
 GRID = 96
 LOG_FRICTION = np.linspace(math.log(0.08), math.log(2.5), GRID)
-NATURAL_MOISTURE = 69.0
+NATURAL_MOISTURE = NATURAL.moisture
 """Moisture (a.u.) at which the prior's median friction holds."""
 LARGEST_SHIFT = 1.0
 """Largest change of the prior's ln μ by moisture."""
