@@ -50,15 +50,7 @@ class SlipEstimator:
     ) -> None:
         self._config = np.zeros(1, kernels.CONFIGURATION)
         self._state = np.zeros(1, kernels.STATE)
-        self._samples = (
-            np.zeros(1, np.int64),
-            np.zeros(1),
-            np.zeros((1, 2)),
-            np.zeros(1, bool),
-            np.zeros(1, bool),
-            np.zeros(1),
-            np.zeros(1),
-        )
+        self._sample = np.zeros(1, kernels.SAMPLE)
         self._row = np.zeros(1, OUTPUT)
         self._strangers = 0
         """Samples in a row whose force is not that of their estimate."""
@@ -81,9 +73,10 @@ class SlipEstimator:
         config["noise"] = settings.tangential_noise
         config["coupled"] = settings.grip_follows_load
         of_friction = self._state["friction"][0]
-        if not of_friction["known"]["told"]:
-            if of_friction["known"]["level"]["sd"] != settings.level_sd:
-                level.begin(of_friction["known"]["level"], settings.level_sd)
+        belief = of_friction["belief"]
+        if not belief["has_evidence"]:
+            if belief["level"]["sd"] != settings.level_sd:
+                level.begin(belief["level"], settings.level_sd)
             friction.set_prior(config["prior"][0], of_friction, float(of_friction["moisture"]))
 
     def assume(self, geometry: Geometry, material: MaxwellLaw) -> None:
@@ -112,16 +105,16 @@ class SlipEstimator:
         """A finger and a plate that were not seen before."""
         self._state[:] = np.zeros(1, kernels.STATE)
         of_friction = self._state["friction"][0]
-        level.begin(of_friction["known"]["level"], self.settings.level_sd)
+        level.begin(of_friction["belief"]["level"], self.settings.level_sd)
         friction.set_prior(self._config["prior"][0], of_friction, math.nan)
 
     def change_surface(self) -> None:
         """Another plate; what is known of the sensor, its zero and its tilt, is kept."""
         air, stamp = self._state["forces"]["air"].copy(), self._state["stamp"].copy()
-        before = self._state["friction"]["known"].copy()[0]
+        before = self._state["friction"]["belief"].copy()[0]
         self.reset()
         self._state["forces"]["air"], self._state["stamp"] = air, stamp
-        friction.keep_level(before, self._state["friction"]["known"][0])
+        friction.keep_level(before, self._state["friction"]["belief"][0])
         friction.set_prior(self._config["prior"][0], self._state["friction"][0], math.nan)
 
     def add(self, estimate: ContactEstimate, force: Sequence[float]) -> SlipEstimate:
@@ -140,15 +133,16 @@ class SlipEstimator:
         if estimate.flags & StateFlag.TIME_RESET:
             self._begin_anew(estimate.stamp_ns)
         self._see_due(estimate.stamp_ns)
-        stamps, normal, lateral, touching, doubted, indentation, moisture = self._samples
-        stamps[0] = estimate.stamp_ns
-        normal[0] = estimate.normal_force
-        lateral[0, 0], lateral[0, 1] = a, b
-        touching[0] = estimate.in_contact
-        doubted[0] = estimate.flags & StateFlag.FORCE_OFFSET
-        indentation[0] = estimate.indentation
-        moisture[0] = estimate.moisture
-        kernels.follow_many(self._config, self._state, *self._samples, self._row)
+        self._sample[0] = (
+            estimate.stamp_ns,
+            estimate.normal_force,
+            (a, b),
+            estimate.in_contact,
+            estimate.flags & StateFlag.FORCE_OFFSET,
+            estimate.indentation,
+            estimate.moisture,
+        )
+        kernels.process_samples(self._config, self._state, self._sample, self._row)
         return slip_estimates(self._row)[0]
 
     def add_block(self, block: EstimateBlock, forces: np.ndarray) -> np.ndarray:
@@ -217,29 +211,21 @@ class SlipEstimator:
             moisture = np.full(n, math.nan)
         if doubted is None:
             doubted = np.zeros(n, bool)
-        for name, array, shape in (
-            ("normal_force", normal_force, (n,)),
-            ("lateral", lateral, (n, 2)),
-            ("touching", touching, (n,)),
-            ("indentation", indentation, (n,)),
-            ("moisture", moisture, (n,)),
-            ("doubted", doubted, (n,)),
+        samples = np.zeros(n, kernels.SAMPLE)
+        for name, column, values in (
+            ("normal_force", samples["normal"], normal_force),
+            ("lateral", samples["lateral"], lateral),
+            ("touching", samples["touching"], touching),
+            ("indentation", samples["indentation"], indentation),
+            ("moisture", samples["moisture"], moisture),
+            ("doubted", samples["doubted"], doubted),
         ):
-            if np.shape(array) != shape:
-                raise InputError(f"{name} has shape {np.shape(array)}, {shape} is needed")
+            if np.shape(values) != column.shape:
+                raise InputError(f"{name} has shape {np.shape(values)}, {column.shape} is needed")
+            column[:] = values
+        samples["stamp"] = stamp_array(stamps_ns)
         rows = np.zeros(n, OUTPUT)
-        kernels.follow_many(
-            self._config,
-            self._state,
-            stamp_array(stamps_ns),
-            np.ascontiguousarray(normal_force, float),
-            np.ascontiguousarray(lateral, float),
-            np.ascontiguousarray(touching, bool),
-            np.ascontiguousarray(doubted, bool),
-            np.ascontiguousarray(indentation, float),
-            np.ascontiguousarray(moisture, float),
-            rows,
-        )
+        kernels.process_samples(self._config, self._state, samples, rows)
         return rows
 
     def expect_stick_ratio(self, stamp_ns: int, stick_ratio: float, sd: float) -> None:
@@ -269,7 +255,9 @@ class SlipEstimator:
         """
         if not (0.0 <= stick_ratio <= 1.0 and sd > 0.0):
             return False
-        return bool(kernels.see_stick(self._state[0], stamp_ns, float(stick_ratio), float(sd)))
+        return bool(
+            kernels.update_from_stick_ratio(self._state[0], stamp_ns, float(stick_ratio), float(sd))
+        )
 
 
 def _stranger(across: float, own: float) -> InputError:

@@ -210,8 +210,8 @@ def ratio_of(track):
 
 
 @njit(cache=True)
-def lets_go(forces):
-    """Whether the finger lets go."""
+def is_releasing(forces):
+    """True when P falls faster than LETTING_GO · P."""
     return forces.fast.rate[0] < -LETTING_GO * forces.fast.value[0]
 
 

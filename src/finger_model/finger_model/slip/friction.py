@@ -1,44 +1,48 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is known of the friction: a distribution over a grid of ln μ, and over whether the force
-sensor is level.
+"""Bayes filter for the friction coefficient on a grid of ln μ, for a level and for a tilted force
+sensor.
 
-The weights tell of μ. What is seen tells of the ratio at which it slips in the direction of Q,
-which is μ where the sensor is level: `_aim` gives the distribution of that ratio.
+A belief has a weight for each cell of the grid and each kind of sensor. It begins as a prior.
+`predict` widens it a little within long contacts, `end_contact` at every contact. Of the directions
+of Q: slip shows r = |Q|/P = μ where the sensor is level, another ratio where it is tilted.
+`DIRECTIONAL` has the distribution of that ratio in one direction. `evaluate` gives the estimates.
 
-It begins as a prior, is widened a little at every contact and within long ones, has nothing below
-the largest ratio r = |Q|/P that was carried (an edge that softens with time), and learns from two
-kinds of evidence:
+There are three kinds of evidence:
 
-- *A plateau of r*: slip, so that r = μ, or a pull that is held, at any r below μ. The likelihood of
-  a friction is a mixture of both.
-- *A stick ratio seen by a camera*, s ± σ in a first pull at known forces: s = s(ρ), ρ = r/μ or,
-  where a part of Q came with P (`elements`), (r − c/P)/(μ − c/P).
+- *A ratio that is held*: μ is not below the largest one (`raise_lower_bound`). This bound is soft,
+  and softens with time. It enters the belief when the contact ends.
+- *A plateau of r* (`update_from_plateau`): slip, so that r = μ, or a pull that is held, at any r
+  below μ. The likelihood of a friction is a mixture of both.
+- *A stick ratio seen by a camera* (`update_from_stick_ratio`), s ± σ in a first pull at known
+  forces: s = s(ρ), ρ = r/μ or, where a part of Q came with P (`elements`), (r − c/P)/(μ − c/P).
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from ..compiled import njit
+from ..paper import NATURAL
 from . import level
 from .elements import first_pull
 from .plateau import CLEAR_SLIP, SPREAD, direction, mean_log_ratio, slip_share
 
-LEVEL, TILTED = 0, 1
+LEVEL_SENSOR, TILTED_SENSOR = 0, 1
 """Kinds of force sensors."""
-KINDS = (LEVEL, TILTED)
+KINDS = (LEVEL_SENSOR, TILTED_SENSOR)
 GRID = 96
 LOG_FRICTION = np.linspace(math.log(0.08), math.log(2.5), GRID)
-NATURAL_MOISTURE = 69.0
+NATURAL_MOISTURE = NATURAL.moisture
 """Moisture (a.u.) at which the prior's median friction holds."""
 LARGEST_SHIFT = 1.0
 """Largest change of the prior's ln μ by moisture."""
 EDGE = SPREAD
-"""Of ln μ: softness of the edge, since the largest ratio carried scatters as one in slip does."""
+"""Of ln μ: softness of the lower bound: the largest ratio held scatters as one in slip does."""
 TURN = 0.15
 """Change of the direction of Q, a unit vector, that is looked at."""
 TILT_SLIP = 0.9
@@ -66,24 +70,24 @@ PRIOR = np.dtype(
         ("moisture_slope", "f8"),  # of ln μ
     ]
 )
-LEARNED = np.dtype(
+BELIEF = np.dtype(
     [
-        ("log_weight", "f8", (2, GRID)),  # of KINDS; evidence without edge and present plateau
-        ("level", level.LEVEL),  # of TILTED
-        ("unclear", "u1", (GRID,)),  # ln r of plateaus that did not show slip by themselves
+        ("log_weight", "f8", (2, GRID)),  # of KINDS, without lower bound and present plateau
+        ("level", level.LEVEL),  # of TILTED_SENSOR
+        ("seen_ratios", "u1", (GRID,)),  # where a plateau was that did not show slip by itself
         ("slips", "i8"),
-        ("slip_ratio", "f8"),  # ln r of the newest one
-        ("shown", "?"),  # slip was seen beyond doubt
-        ("told", "?"),  # the weights hold more than the prior
+        ("slip_log_ratio", "f8"),  # ln r of the newest one
+        ("slip_confirmed", "?"),  # beyond doubt
+        ("has_evidence", "?"),  # more than the prior
     ],
     align=True,
 )
-AIM = np.dtype(
+DIRECTIONAL = np.dtype(
     [
-        ("true", "?"),  # of what is known now
+        ("valid", "?"),  # of the present belief
         ("along", "f8", (2,)),  # a direction of Q
         ("log_weight", "f8", (GRID,)),  # of the ratio at which it slips in it, by LOG_FRICTION
-        ("tilted", "f8"),  # probability of TILTED
+        ("tilted", "f8"),  # probability of TILTED_SENSOR
         ("friction", "f8", (GRID,)),  # mean of μ, where this is the ratio
         ("square", "f8", (GRID,)),  # and of its square
         ("tilt", "f8", (2,)),  # rad, mean
@@ -93,21 +97,37 @@ AIM = np.dtype(
 )
 FRICTION = np.dtype(
     [
-        ("known", LEARNED),
-        ("before", LEARNED),  # at the onset of this contact
-        ("carried", "f8"),  # largest ratio carried in this contact, of those that still tell most
-        ("along", "f8", (2,)),  # its direction
-        ("age", "f8"),  # s since then
+        ("belief", BELIEF),
+        ("before", BELIEF),  # at the onset of this contact
+        ("largest_held_ratio", "f8"),  # in this contact, of those that still tell most; 0: none
+        ("held_direction", "f8", (2,)),
+        ("age", "f8"),  # s since it was held
         ("contact_time", "f8"),  # s, of this contact
         ("drifted", "f8"),  # s of it for which the weights were widened
         ("moisture", "f8"),  # of the prior
         ("mean", "f8"),  # of μ, as last given
         ("stddev", "f8"),
-        ("limit", "f8"),  # mean of the ratio at which it slips in the direction `aim.along`
-        ("aim", AIM),
+        ("limit", "f8"),  # mean of the ratio at which it slips in the direction `directional.along`
+        ("directional", DIRECTIONAL),
     ],
     align=True,
 )
+
+
+class PullNow(NamedTuple):
+    """The pull at the newest sample. Without `judged` only `stands` means something.
+
+    stands: the plateau lasts; judged: the forces are large enough; ratio: r = |Q|/P; beyond,
+    with_load: see `elements.shares`; ahead: largest r within the horizon; spread: of its logarithm.
+    """
+
+    stands: bool
+    judged: bool
+    ratio: float
+    beyond: float
+    with_load: float
+    ahead: float
+    spread: float
 
 
 @njit(cache=True)
@@ -129,48 +149,50 @@ def _log_prior(prior, moisture):
 
 @njit(cache=True)
 def set_prior(prior, friction, moisture):
-    """The prior of a moisture (a.u., NaN where it is not known), where nothing was told yet."""
+    """The prior of a moisture (a.u., NaN where it is not known), where there is no evidence yet."""
     friction.moisture = moisture
-    known = friction.known
-    known.log_weight[LEVEL] = known.log_weight[TILTED] = _log_prior(prior, moisture)
-    known.log_weight[LEVEL] += math.log(1.0 - known.level.tilted)
-    known.log_weight[TILTED] += math.log(known.level.tilted)
-    friction.aim.true = False
-    friction.carried = 0.0
+    belief = friction.belief
+    belief.log_weight[LEVEL_SENSOR] = belief.log_weight[TILTED_SENSOR] = _log_prior(prior, moisture)
+    belief.log_weight[LEVEL_SENSOR] += math.log(1.0 - belief.level.tilted)
+    belief.log_weight[TILTED_SENSOR] += math.log(belief.level.tilted)
+    friction.directional.valid = False
+    friction.largest_held_ratio = 0.0
     friction.mean = friction.stddev = friction.limit = math.nan
 
 
 @njit(cache=True)
-def _copy(learned, to):
-    to.log_weight[:] = learned.log_weight
-    to.unclear[:] = learned.unclear
-    to.slips, to.told = learned.slips, learned.told
-    to.slip_ratio, to.shown = learned.slip_ratio, learned.shown
-    level.copy(learned.level, to.level)
+def _copy(source, target):
+    target.log_weight[:] = source.log_weight
+    target.seen_ratios[:] = source.seen_ratios
+    target.slips, target.has_evidence = source.slips, source.has_evidence
+    target.slip_log_ratio, target.slip_confirmed = source.slip_log_ratio, source.slip_confirmed
+    level.copy(source.level, target.level)
 
 
 @njit(cache=True)
 def begin_contact(friction):
-    """Keep what is known, in case this contact is none of a finger."""
-    _copy(friction.known, friction.before)
+    """Save the belief. It is restored if this contact turns out not to be a finger."""
+    _copy(friction.belief, friction.before)
 
 
 @njit(cache=True)
 def forget_contact(friction):
     """Forget what was learned since the contact began."""
-    _copy(friction.before, friction.known)
-    friction.aim.true = False
-    friction.carried = friction.drifted = 0.0
+    _copy(friction.before, friction.belief)
+    friction.directional.valid = False
+    friction.largest_held_ratio = friction.drifted = 0.0
 
 
 @njit(cache=True)
-def _shares(known, kind, g, u0, u1, share):
-    """Cells of LOG_FRICTION, from the first to before the last one returned, of the ratios at which
-    it may slip in the direction u at the friction of cell g; their probabilities in `share`."""
-    if kind == LEVEL or known.level.sd == 0.0:
-        share[g] = 1.0
+def _ratio_distribution(belief, kind, g, u0, u1, probability):
+    """Distribution of the ratio at which it slips in the direction u at the friction of cell g.
+
+    It stands in `probability` (GRID,), from the first cell to before the last one returned.
+    """
+    if kind == LEVEL_SENSOR or belief.level.sd == 0.0:
+        probability[g] = 1.0
         return g, g + 1
-    ratio, error = level.shown(known.level, LOG_FRICTION[g], u0, u1)
+    ratio, error = level.slip_ratio(belief.level, LOG_FRICTION[g], u0, u1)
     step = LOG_FRICTION[1] - LOG_FRICTION[0]
     at = (math.log(ratio) - LOG_FRICTION[0]) / step
     width = max(error / ratio / step, 0.5)
@@ -178,137 +200,148 @@ def _shares(known, kind, g, u0, u1, share):
     last = min(max(int(at + 3.0 * width) + 2, first + 1), GRID)
     total = 0.0
     for k in range(first, last):
-        share[k] = math.exp(-0.5 * ((k - at) / width) ** 2) + 1e-30
-        total += share[k]
+        probability[k] = math.exp(-0.5 * ((k - at) / width) ** 2) + 1e-30
+        total += probability[k]
     for k in range(first, last):
-        share[k] /= total
+        probability[k] /= total
     return first, last
 
 
 @njit(cache=True)
-def _aim(aim, known, u0, u1):
-    """What is known of the ratio at which it slips in the direction u."""
-    aim.true = True
-    aim.along[0], aim.along[1] = u0, u1
-    aim.friction[:] = aim.square[:] = aim.tilt[:] = 0.0
-    aim.variance[:] = 0.0
-    aim.tilted = 0.0
-    weights, share = np.zeros(GRID), np.empty(GRID)
-    top, total = known.log_weight.max(), 0.0
+def _compute_directional(directional, belief, u0, u1):
+    """Distribution of the ratio at which it slips in the direction u."""
+    directional.valid = True
+    directional.along[0], directional.along[1] = u0, u1
+    directional.friction[:] = directional.square[:] = directional.tilt[:] = 0.0
+    directional.variance[:] = 0.0
+    directional.tilted = 0.0
+    weights, probability = np.zeros(GRID), np.empty(GRID)
+    top, total = belief.log_weight.max(), 0.0
     for kind in KINDS:
         for g in range(GRID):
-            weight = math.exp(known.log_weight[kind, g] - top)
+            weight = math.exp(belief.log_weight[kind, g] - top)
             if weight == 0.0:
                 continue
             mu = math.exp(LOG_FRICTION[g])
             total += weight
-            if kind == TILTED:
-                aim.tilted += weight
-                level.add_moments(known.level, LOG_FRICTION[g], weight, aim.tilt, aim.variance)
-            first, last = _shares(known, kind, g, u0, u1, share)
+            if kind == TILTED_SENSOR:
+                directional.tilted += weight
+                level.add_moments(
+                    belief.level, LOG_FRICTION[g], weight, directional.tilt, directional.variance
+                )
+            first, last = _ratio_distribution(belief, kind, g, u0, u1, probability)
             for k in range(first, last):
-                part = weight * share[k]
+                part = weight * probability[k]
                 weights[k] += part
-                aim.friction[k] += part * mu
-                aim.square[k] += part * mu * mu
+                directional.friction[k] += part * mu
+                directional.square[k] += part * mu * mu
     for k in range(GRID):
         if weights[k] > 1e-280:
-            aim.log_weight[k] = math.log(weights[k]) + top
-            aim.friction[k] /= weights[k]
-            aim.square[k] /= weights[k]
-        else:  # too unlikely for sums, but all that is left beyond a large ratio carried
-            aim.log_weight[k] = known.log_weight[:, k].max()
-            aim.friction[k] = math.exp(LOG_FRICTION[k])
-            aim.square[k] = aim.friction[k] ** 2
-    aim.tilted /= total
+            directional.log_weight[k] = math.log(weights[k]) + top
+            directional.friction[k] /= weights[k]
+            directional.square[k] /= weights[k]
+        else:  # too unlikely for sums, but all that is left beyond a large ratio held
+            directional.log_weight[k] = belief.log_weight[:, k].max()
+            directional.friction[k] = math.exp(LOG_FRICTION[k])
+            directional.square[k] = directional.friction[k] ** 2
+    directional.tilted /= total
     for i in range(2):
-        aim.tilt[i] /= total
+        directional.tilt[i] /= total
     for i in range(2):
         for k in range(2):
-            aim.variance[i, k] = aim.variance[i, k] / total - aim.tilt[i] * aim.tilt[k]
+            directional.variance[i, k] = (
+                directional.variance[i, k] / total - directional.tilt[i] * directional.tilt[k]
+            )
 
 
 @njit(cache=True)
-def renew_aim(friction):
-    """Let `aim`, in the direction that it has, be of what is known now."""
-    aim = friction.aim
-    if not aim.true:
-        _aim(aim, friction.known, aim.along[0], aim.along[1])
+def refresh_directional(friction):
+    """Compute `directional`, in its direction, if the belief has changed."""
+    directional = friction.directional
+    if not directional.valid:
+        _compute_directional(
+            directional, friction.belief, directional.along[0], directional.along[1]
+        )
 
 
 @njit(cache=True)
-def look(friction, u0, u1, clear):
-    """Let `aim` be of what is known now, in the direction u if that is clear."""
-    aim = friction.aim
-    if clear and math.hypot(u0 - aim.along[0], u1 - aim.along[1]) > TURN:
-        _aim(aim, friction.known, u0, u1)
+def set_direction(friction, u0, u1, clear):
+    """Compute `directional` for the direction u if that is clear and has changed."""
+    directional = friction.directional
+    if clear and math.hypot(u0 - directional.along[0], u1 - directional.along[1]) > TURN:
+        _compute_directional(directional, friction.belief, u0, u1)
     else:
-        renew_aim(friction)
+        refresh_directional(friction)
 
 
 @njit(cache=True)
-def _turned(aim, log_ratio, v0, v1):
-    """ln of the ratio r in the direction of `aim` that this ln r in the direction v stands for, and
-    its standard deviation."""
-    d0, d1 = aim.along[0] - v0, aim.along[1] - v1
+def _turned(directional, log_ratio, v0, v1):
+    """ln of the ratio r in the direction of `directional` that this ln r in the direction v stands
+    for, and its standard deviation."""
+    d0, d1 = directional.along[0] - v0, directional.along[1] - v1
     if d0 == 0.0 and d1 == 0.0:
         return log_ratio, 0.0
-    ratio, c = math.exp(log_ratio), aim.variance
+    ratio, c = math.exp(log_ratio), directional.variance
     gain = 1.0 + ratio * ratio
     variance = d0 * (c[0, 0] * d0 + c[0, 1] * d1) + d1 * (c[1, 0] * d0 + c[1, 1] * d1)
-    turned = max(ratio + gain * (aim.tilt[0] * d0 + aim.tilt[1] * d1), level.LEAST * ratio)
+    turned = max(
+        ratio + gain * (directional.tilt[0] * d0 + directional.tilt[1] * d1), level.LEAST * ratio
+    )
     return math.log(turned), gain * math.sqrt(max(variance, 0.0)) / ratio
 
 
 @njit(cache=True)
-def _tell(known, u0, u1, likelihood, follows):
-    """Learn the likelihood (GRID,) of each ratio at which it slips in the direction u, and what a
-    sensor that is not level adds to it."""
-    share = np.empty(GRID)
+def _update(belief, u0, u1, likelihood, tilt_likelihood):
+    """Multiply the weights by a likelihood.
+
+    likelihood (GRID,): of each ratio at which it slips in the direction u; tilt_likelihood: what a
+    tilted sensor adds to it.
+    """
+    probability = np.empty(GRID)
     for kind in KINDS:
         for g in range(GRID):
-            first, last = _shares(known, kind, g, u0, u1, share)
-            total = follows if kind == TILTED else 0.0
+            first, last = _ratio_distribution(belief, kind, g, u0, u1, probability)
+            total = tilt_likelihood if kind == TILTED_SENSOR else 0.0
             for k in range(first, last):
-                total += share[k] * likelihood[k]
-            known.log_weight[kind, g] += math.log(total)
+                total += probability[k] * likelihood[k]
+            belief.log_weight[kind, g] += math.log(total)
 
 
 @njit(cache=True)
 def _edge_width(friction, drift):
-    """Softness of the edge, of ln μ: friction may have changed since the ratio was carried."""
+    """Softness of the lower bound of ln μ: friction may have changed since the ratio was held."""
     return math.hypot(EDGE, drift * math.sqrt(friction.age / DRIFT_TIME))
 
 
 @njit(cache=True)
-def carry(friction, ratio, drift):
-    """A ratio that is carried now, in the direction of `aim`: it tells more than a larger one of
-    long ago."""
+def raise_lower_bound(friction, ratio, drift):
+    """A ratio that is held now, in the direction of `directional`; it replaces a larger one of long
+    ago, which tells less."""
     slack = 2.0 * (_edge_width(friction, drift) - EDGE)
-    if ratio > friction.carried * math.exp(-slack):
-        friction.carried, friction.age = ratio, 0.0
-        friction.along[:] = friction.aim.along
+    if ratio > friction.largest_held_ratio * math.exp(-slack):
+        friction.largest_held_ratio, friction.age = ratio, 0.0
+        friction.held_direction[:] = friction.directional.along
 
 
 @njit(cache=True)
-def _if_tilted(known):
+def _tilted_moments(belief):
     """Mean and variance of ln μ where the sensor is not level."""
-    weight = np.exp(known.log_weight[TILTED] - known.log_weight[TILTED].max())
+    weight = np.exp(belief.log_weight[TILTED_SENSOR] - belief.log_weight[TILTED_SENSOR].max())
     weight /= weight.sum()
     mean = np.sum(weight * LOG_FRICTION)
     return mean, np.sum(weight * (LOG_FRICTION - mean) ** 2)
 
 
 @njit(cache=True)
-def _loosen(known, change):
-    """ln μ may have changed by a random step of this variance."""
-    if known.level.sd > 0.0:
-        mean, variance = _if_tilted(known)
-        level.loosen(known.level, mean, variance, change)
+def _predict_tilt(belief, change):
+    """Predict the tilt after a random step of ln μ of this variance."""
+    if belief.level.sd > 0.0:
+        mean, variance = _tilted_moments(belief)
+        level.predict(belief.level, mean, variance, change)
 
 
 @njit(cache=True)
-def pass_time(friction, drift, dt):
+def predict(friction, drift, dt):
     """dt (s) of a contact, in which ln μ may change by this drift in DRIFT_TIME."""
     friction.contact_time += dt
     if friction.contact_time < friction.drifted + DRIFT_STEP:
@@ -316,46 +349,46 @@ def pass_time(friction, drift, dt):
     step = friction.contact_time - friction.drifted
     friction.drifted += step
     friction.age += step
-    known = friction.known
-    if known.told:
+    belief = friction.belief
+    if belief.has_evidence:
         cells = drift / (LOG_FRICTION[1] - LOG_FRICTION[0])
         share = min(0.5 * cells * cells * step / DRIFT_TIME, 0.3)
-        _loosen(known, drift * drift * step / DRIFT_TIME)
-        top = known.log_weight.max()
+        _predict_tilt(belief, drift * drift * step / DRIFT_TIME)
+        top = belief.log_weight.max()
         for kind in KINDS:
-            weight = np.exp(known.log_weight[kind] - top)
+            weight = np.exp(belief.log_weight[kind] - top)
             for g in range(GRID):
                 below, above = weight[max(g - 1, 0)], weight[min(g + 1, GRID - 1)]
                 widened = weight[g] + share * (below - 2.0 * weight[g] + above)
-                known.log_weight[kind, g] = math.log(max(widened, 1e-300))
-        friction.aim.true = False
+                belief.log_weight[kind, g] = math.log(max(widened, 1e-300))
+        friction.directional.valid = False
 
 
 @njit(cache=True)
 def end_contact(friction, prior, drift):
-    """Fold the edge into the weights; ln μ may differ in the next contact, by what is left of this
-    drift."""
-    known = friction.known
-    if friction.carried > 0.0:
-        known.told = True
+    """Fold the lower bound into the weights. In the next contact ln μ may differ by what is
+    left of this drift."""
+    belief = friction.belief
+    if friction.largest_held_ratio > 0.0:
+        belief.has_evidence = True
         width = _edge_width(friction, drift)
         likelihood = np.empty(GRID)
         for g in range(GRID):
-            edge = _normal((LOG_FRICTION[g] - math.log(friction.carried)) / width)
+            edge = _normal((LOG_FRICTION[g] - math.log(friction.largest_held_ratio)) / width)
             likelihood[g] = edge + 1e-6
-        _tell(known, friction.along[0], friction.along[1], likelihood, 0.0)
-    friction.carried = 0.0
-    friction.aim.true = False
+        _update(belief, friction.held_direction[0], friction.held_direction[1], likelihood, 0.0)
+    friction.largest_held_ratio = 0.0
+    friction.directional.valid = False
     # Widen by a Gaussian of the drift.
     left = max(0.0, 1.0 - friction.drifted / DRIFT_TIME)
     friction.contact_time = friction.drifted = 0.0
-    _loosen(known, left * drift * drift)
+    _predict_tilt(belief, left * drift * drift)
     width = math.sqrt(left) * drift / (LOG_FRICTION[1] - LOG_FRICTION[0])
     reach = int(3.0 * width) + 1
     another = _log_prior(prior, friction.moisture)
     another = np.exp(another - another.max())
     another /= another.sum()
-    weights = np.exp(known.log_weight - known.log_weight.max())
+    weights = np.exp(belief.log_weight - belief.log_weight.max())
     weights /= weights.sum()
     for kind in KINDS:
         weight = weights[kind]
@@ -367,16 +400,16 @@ def end_contact(friction, prior, drift):
                 total += share * weight[k]
                 norm += share
             found = (1.0 - NEW_SURFACE) * total / norm + NEW_SURFACE * of_kind * another[g]
-            known.log_weight[kind, g] = math.log(max(found, 1e-300))
+            belief.log_weight[kind, g] = math.log(max(found, 1e-300))
 
 
 @njit(cache=True)
-def keep_level(before, known):
+def keep_level(before, belief):
     """Another surface on the same sensor: keep what was known of its tilt."""
-    _loosen(before, math.inf)
-    level.copy(before.level, known.level)
+    _predict_tilt(before, math.inf)
+    level.copy(before.level, belief.level)
     share = np.exp(before.log_weight - before.log_weight.max())
-    known.level.tilted = min(max(share[TILTED].sum() / share.sum(), SUREST), 1.0 - SUREST)
+    belief.level.tilted = min(max(share[TILTED_SENSOR].sum() / share.sum(), SUREST), 1.0 - SUREST)
 
 
 @njit(cache=True)
@@ -387,11 +420,11 @@ def _cell(log_friction):
 
 
 @njit(cache=True)
-def _is_news(known, plateau):
+def _is_news(belief, plateau):
     """Whether the plateau tells of friction what none before it did. A thing that is held again, or
     whose load dips and returns, stands still at the same ratio."""
     at = _cell(mean_log_ratio(plateau))
-    seen = known.unclear[max(at - NEAR, 0) : at + NEAR + 1].max() > 0
+    seen = belief.seen_ratios[max(at - NEAR, 0) : at + NEAR + 1].max() > 0
     return plateau.odds >= CLEAR_SLIP or not seen
 
 
@@ -406,45 +439,45 @@ def _likelihood(share, log_ratio, spread, log_friction):
 
 
 @njit(cache=True)
-def learn(friction, plateau):
-    """Keep what a plateau that ends has told; the probability that it was a slip that is news."""
-    known, aim = friction.known, friction.aim
-    known.told, aim.true = True, False
+def update_from_plateau(friction, plateau):
+    """Update from a plateau that ends; the probability that it was a slip that is news."""
+    belief, directional = friction.belief, friction.directional
+    belief.has_evidence, directional.valid = True, False
     share, log_ratio = slip_share(plateau), mean_log_ratio(plateau)
-    news = _is_news(known, plateau)
+    news = _is_news(belief, plateau)
     if plateau.odds < CLEAR_SLIP:
-        known.unclear[_cell(log_ratio)] = 1
+        belief.seen_ratios[_cell(log_ratio)] = 1
     if not news:
         return 0.0
     u0, u1 = direction(plateau)
-    _aim(aim, known, u0, u1)
-    aim.true = False
+    _compute_directional(directional, belief, u0, u1)
+    directional.valid = False
     ratio = math.exp(log_ratio)
-    follows = share * level.follows(known.level, ratio, u0, u1)
+    tilt_likelihood = share * level.tilt_likelihood(belief.level, ratio, u0, u1)
     total, slip_total = 0.0, 0.0
-    top = aim.log_weight.max()
+    top = directional.log_weight.max()
     likelihood = np.empty(GRID)
     for g in range(GRID):
         likelihood[g], slip = _likelihood(share, log_ratio, plateau.spread, LOG_FRICTION[g])
-        weight = math.exp(aim.log_weight[g] - top)
-        total += weight * (likelihood[g] + aim.tilted * follows)
+        weight = math.exp(directional.log_weight[g] - top)
+        total += weight * (likelihood[g] + directional.tilted * tilt_likelihood)
         slip_total += weight * slip
-    _tell(known, u0, u1, likelihood, follows)
+    _update(belief, u0, u1, likelihood, tilt_likelihood)
     probability = slip_total / total
-    if probability > TILT_SLIP and known.level.sd > 0.0:
-        mean, _ = _if_tilted(known)
-        level.see_slip(known.level, mean, ratio, u0, u1, plateau.spread * ratio)
+    if probability > TILT_SLIP and belief.level.sd > 0.0:
+        mean, _ = _tilted_moments(belief)
+        level.update(belief.level, mean, ratio, u0, u1, plateau.spread * ratio)
     return probability
 
 
 @njit(cache=True)
-def count_slip(known, log_ratio, probability):
+def count_slip(belief, log_ratio, probability):
     """A slip at this ln r, of this probability: one that is clear, or two that agree, leave no
     doubt."""
-    agrees = known.slips > 0 and abs(log_ratio - known.slip_ratio) < AGREES
-    known.shown = known.shown or probability > CLEAR or agrees
-    known.slip_ratio = log_ratio
-    known.slips += 1
+    agrees = belief.slips > 0 and abs(log_ratio - belief.slip_log_ratio) < AGREES
+    belief.slip_confirmed = belief.slip_confirmed or probability > CLEAR or agrees
+    belief.slip_log_ratio = log_ratio
+    belief.slips += 1
 
 
 @njit(cache=True)
@@ -454,17 +487,17 @@ def _first_stick(beyond, with_load, friction):
 
 
 @njit(cache=True)
-def see_stick(friction, beyond, with_load, stick, sd):
-    """Learn from a stick ratio ± sd seen in a first pull in the direction of `aim`, at these
-    `elements.shares`."""
+def update_from_stick_ratio(friction, beyond, with_load, stick, sd):
+    """Update from a stick ratio ± sd that was seen in a first pull, in the direction of
+    `directional`, at these `elements.shares`."""
     spread = math.hypot(sd, 0.04)
-    known, aim = friction.known, friction.aim
-    known.told, aim.true = True, False
+    belief, directional = friction.belief, friction.directional
+    belief.has_evidence, directional.valid = True, False
     likelihood = np.empty(GRID)
     for g in range(GRID):
         z = (_first_stick(beyond, with_load, math.exp(LOG_FRICTION[g])) - stick) / spread
         likelihood[g] = (math.exp(-0.5 * z * z) + 1e-3) ** FRAME_SHARE
-    _tell(known, aim.along[0], aim.along[1], likelihood, 0.0)
+    _update(belief, directional.along[0], directional.along[1], likelihood, 0.0)
 
 
 @njit(cache=True)
@@ -475,69 +508,66 @@ def _moments(weighted, squared, total):
 
 
 @njit(cache=True)
-def weigh(friction, drift, plateau, stands, judged, ratio, beyond, with_load, ahead, spread, out):
-    """Friction, probability of slip and margin, by all weights; whether it slips, the mean stick
-    ratio of a first pull at these `elements.shares`, and its standard deviation.
-
-    stands: the plateau lasts; judged: `ratio` r = |Q|/P tells something, and is to be `ahead` ±
-    `spread` of ln r within the horizon.
-    """
-    aim = friction.aim
-    share, log_ratio, news, plateau_spread, follows = 0.0, 0.0, False, 1.0, 0.0
-    if stands:
+def evaluate(friction, drift, plateau, now, out):
+    """Write friction, probability of slip, margin and stick ratio of a first pull to `out`, with
+    their deviations, by all weights; now: the PullNow. Returns whether the contact slips."""
+    directional = friction.directional
+    share, log_ratio, news, plateau_spread, tilt_likelihood = 0.0, 0.0, False, 1.0, 0.0
+    if now.stands:
         share = slip_share(plateau)
-        news = _is_news(friction.known, plateau)
+        news = _is_news(friction.belief, plateau)
         v0, v1 = direction(plateau)
         log_ratio = mean_log_ratio(plateau)
-        follows = level.follows(friction.known.level, math.exp(log_ratio), v0, v1)
-        follows *= share * aim.tilted
-        log_ratio, error = _turned(aim, log_ratio, v0, v1)
+        tilt_likelihood = level.tilt_likelihood(friction.belief.level, math.exp(log_ratio), v0, v1)
+        tilt_likelihood *= share * directional.tilted
+        log_ratio, error = _turned(directional, log_ratio, v0, v1)
         plateau_spread = math.hypot(plateau.spread, error)
-    carried, error = math.log(max(friction.carried, 1e-3)), 0.0
-    if friction.carried > 0.0:
-        carried, error = _turned(aim, carried, friction.along[0], friction.along[1])
-    # A ratio beyond all frictions that are thought of leaves the largest of them.
-    edge_at = min(carried, LOG_FRICTION[-1])
+    held, error = math.log(max(friction.largest_held_ratio, 1e-3)), 0.0
+    if friction.largest_held_ratio > 0.0:
+        v0, v1 = friction.held_direction[0], friction.held_direction[1]
+        held, error = _turned(directional, held, v0, v1)
+    # A ratio held beyond the grid leaves its largest friction.
+    edge_at = min(held, LOG_FRICTION[-1])
     edge_width = math.hypot(_edge_width(friction, drift), error)
     log_weight = np.empty(GRID)
     for g in range(GRID):
         edge = _normal((LOG_FRICTION[g] - edge_at) / edge_width)
-        log_weight[g] = aim.log_weight[g] + (math.log(edge) if edge > 0.0 else -math.inf)
+        log_weight[g] = directional.log_weight[g] + (math.log(edge) if edge > 0.0 else -math.inf)
     top = log_weight.max()
     total, mean, square, slip_total, probability = 0.0, 0.0, 0.0, 0.0, 0.0
     stick_mean, stick_square, margin_mean, margin_square, limit = 0.0, 0.0, 0.0, 0.0, 0.0
-    log_ahead = math.log(max(ahead, 1e-6))
+    log_ahead = math.log(max(now.ahead, 1e-6))
     for g in range(GRID):
         x = LOG_FRICTION[g]
         weight = math.exp(log_weight[g] - top)
         slip = 0.0
-        if stands:
+        if now.stands:
             likelihood, slip_part = _likelihood(share, log_ratio, plateau_spread, x)
-            likelihood += follows
+            likelihood += tilt_likelihood
             slip = slip_part / likelihood
             if news:
                 weight *= likelihood
         slips_at = math.exp(x)
         total += weight
         limit += weight * slips_at
-        mean += weight * aim.friction[g]
-        square += weight * aim.square[g]
+        mean += weight * directional.friction[g]
+        square += weight * directional.square[g]
         slip_total += weight * slip
-        if judged:
-            coming = _normal((log_ahead - x) / spread)
+        if now.judged:
+            coming = _normal((log_ahead - x) / now.spread)
             probability += weight * max(slip, coming)
-            s = (1.0 - slip) * _first_stick(beyond, with_load, slips_at)
+            s = (1.0 - slip) * _first_stick(now.beyond, now.with_load, slips_at)
             stick_mean += weight * s
             stick_square += weight * s * s
-            margin = (1.0 - slip) * max(0.0, 1.0 - ratio / slips_at)
+            margin = (1.0 - slip) * max(0.0, 1.0 - now.ratio / slips_at)
             margin_mean += weight * margin
             margin_square += weight * margin * margin
     friction.mean, friction.stddev = _moments(mean, square, total)
     friction.limit = limit / total
-    if friction.carried > 0.95 * math.exp(LOG_FRICTION[-1]):
+    if friction.largest_held_ratio > 0.95 * math.exp(LOG_FRICTION[-1]):
         friction.stddev = friction.mean
     out.friction, out.friction_stddev = friction.mean, friction.stddev
     out.slip_probability = min(probability / total, 1.0)
     out.slip_margin, out.slip_margin_stddev = _moments(margin_mean, margin_square, total)
-    stick_mean, stick_spread = _moments(stick_mean, stick_square, total)
-    return slip_total > 0.5 * total, stick_mean, stick_spread
+    out.stick_ratio, out.stick_ratio_stddev = _moments(stick_mean, stick_square, total)
+    return slip_total > 0.5 * total

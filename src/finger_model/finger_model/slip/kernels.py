@@ -5,7 +5,7 @@
 
 Filtered `forces` tell a ratio r = |Q|/P, `forecasts` whether it stands still. Then it is a
 `plateau`, and `windows` tell slip from holding. `friction` learns from plateaus, from the largest
-ratio carried and from a camera; `elements` give the stick ratio at its mean.
+ratio held and from a camera; `elements` give the stick ratio at its mean.
 """
 
 from __future__ import annotations
@@ -22,7 +22,10 @@ from ..estimator.delayed import REMEMBERED
 from ..sensor_air import SILENCE
 from . import elements, forces, forecasts, friction, plateau
 
-NO_CONTACT, SLIPPING, ASSUMED, INVALID = (int(flag) for flag in SlipFlag)
+NO_CONTACT = int(SlipFlag.NO_CONTACT)
+SLIPPING = int(SlipFlag.SLIPPING)
+ASSUMED = int(SlipFlag.FRICTION_ASSUMED)
+INVALID = int(SlipFlag.FORCE_INVALID)
 
 TURNED = 0.85
 """Share of the largest ratio of a pull below which it counts as reversed."""
@@ -38,8 +41,20 @@ CLEAR_PULL = 20.0
 UNSURE = 0.1
 """Error of the zero of Q over μP from which friction counts as assumed."""
 TEACHING_FORCE = 0.2
-"""N; below it a ratio carried teaches no friction: what the tare left may be all of it."""
+"""N; below it a ratio held teaches no friction: what the tare left may be all of it."""
 
+SAMPLE = np.dtype(
+    [
+        ("stamp", "i8"),  # ns
+        ("normal", "f8"),  # N, P
+        ("lateral", "f8", (2,)),  # N, Q
+        ("touching", "?"),
+        ("doubted", "?"),  # the force is hardly a finger's
+        ("indentation", "f8"),  # m
+        ("moisture", "f8"),  # a.u., NaN where it is not known
+    ],
+    align=True,
+)
 CONFIGURATION = np.dtype(
     [
         ("finger", elements.FINGER),
@@ -102,13 +117,13 @@ def _begin_contact(config, state, stamp, normal, q0, q1):
 
 
 @njit(cache=True)
-def _learn(state):
-    """Keep what the plateau that ends has told."""
-    known = state.friction.known
-    probability = friction.learn(state.friction, state.plateau)
+def _use_plateau(state):
+    """Update friction and slips from the plateau that ends."""
+    probability = friction.update_from_plateau(state.friction, state.plateau)
     if probability > 0.5 and not state.pull.counted:
         state.pull.counted = True
-        friction.count_slip(known, plateau.mean_log_ratio(state.plateau), probability)
+        log_ratio = plateau.mean_log_ratio(state.plateau)
+        friction.count_slip(state.friction.belief, log_ratio, probability)
 
 
 @njit(cache=True)
@@ -117,7 +132,7 @@ def _end_contact(config, state, stamp):
     if state.doubted:
         friction.forget_contact(state.friction)
     elif plateau.lasts(state.plateau, stamp):
-        _learn(state)
+        _use_plateau(state)
     state.plateau.present = False
     friction.end_contact(state.friction, config.prior, config.drift)
     elements.release(state.elements)
@@ -131,19 +146,19 @@ def _judge_ratio(config, state, stamp):
     ratio, slow = forces.ratio_of(tracked.fast), forces.ratio_of(tracked.slow)
     load = tracked.fast.value[0]
     forces.see_knock(tracked, stamp)
-    if forces.calm(tracked, stamp) and not forces.lets_go(tracked):
+    if forces.calm(tracked, stamp) and not forces.is_releasing(tracked):
         # Noise of the force is no pull.
-        carried = min(ratio, slow) - 2.0 * math.hypot(tracked.noise, tracked.zero_error) / load
+        held = min(ratio, slow) - 2.0 * math.hypot(tracked.noise, tracked.zero_error) / load
         if load >= TEACHING_FORCE:
-            friction.carry(state.friction, carried, config.drift)
-        pull.largest = max(pull.largest, carried)
+            friction.raise_lower_bound(state.friction, held, config.drift)
+        pull.largest = max(pull.largest, held)
     if ratio < TURNED * pull.largest - 0.02:
         pull.turned = True
     if ratio < 0.5 * pull.largest and not state.plateau.present:
         pull.counted = False
         pull.frames, pull.frames_ratio = 0, 0.0
     if plateau.judge(state.plateau, state.forecasts, tracked, config.coupled, stamp):
-        _learn(state)
+        _use_plateau(state)
     return ratio
 
 
@@ -168,7 +183,7 @@ def _ahead(tracked, horizon, ratio, stands):
 
 
 @njit(cache=True)
-def _say_nothing(out, probability):
+def _write_nothing(out, probability):
     """All NaN but what is known anyway and this probability of slip."""
     out.stick_ratio = out.stick_ratio_stddev = math.nan
     out.slip_margin = out.slip_margin_stddev = math.nan
@@ -178,121 +193,154 @@ def _say_nothing(out, probability):
 
 
 @njit(cache=True)
-def follow(config, state, stamp, normal, q0, q1, touching, doubted, indentation, moisture, out):
-    """One sample: stamp (ns), P and Q (N), whether in contact and whether that is doubted,
-    indentation (m), moisture (a.u.)."""
-    known = state.friction.known
-    out.stamp_ns = stamp
-    out.normal_force = normal
-    out.tangential_force[0], out.tangential_force[1] = q0, q1
-    if not math.isfinite(normal + q0 + q1):
-        _say_nothing(out, math.nan)
-        out.friction, out.friction_stddev = state.friction.mean, state.friction.stddev
-        out.slips = known.slips
-        out.flags = INVALID | (0 if known.shown else ASSUMED)
-        return
-    if not known.told and moisture != state.friction.moisture and math.isfinite(moisture):
-        friction.set_prior(config.prior, state.friction, moisture)
-    dt, step = (stamp - state.stamp) * 1e-9, (stamp - state.measured.stamp) * 1e-9
-    anew = force_noise.measured_anew(state.measured, stamp, normal, q0, q1)
+def _write_slips(state, out):
+    """What the belief tells of slips so far."""
+    out.slips = state.friction.belief.slips
+    out.flags = 0 if state.friction.belief.slip_confirmed else ASSUMED
+
+
+@njit(cache=True)
+def _write_invalid(state, out):
+    """The row of a sample whose force is not finite."""
+    _write_nothing(out, math.nan)
+    _write_slips(state, out)
+    out.friction, out.friction_stddev = state.friction.mean, state.friction.stddev
+    out.flags |= INVALID
+
+
+@njit(cache=True)
+def _pull_of(state, sample):
+    """Q (N) of a sample in contact, without the sensor's zero."""
+    zero = state.forces.zero
+    return sample.lateral[0] - zero[0], sample.lateral[1] - zero[1]
+
+
+@njit(cache=True)
+def _track_contact(config, state, sample, dt, step, anew):
+    """Begin, continue or end the contact; the time (s) by which it has become older.
+
+    dt, step: s since the newest sample, and since the newest one that was measured anew; anew:
+    whether this one was.
+    """
+    tracked, older = state.forces, 0.0
     if dt > SILENCE:
         if state.touching:
             _end_contact(config, state, state.stamp)
-        forces.forget_air(state.forces)
-    if touching:
+        forces.forget_air(tracked)
+    if sample.touching:
         if not state.touching:
-            forces.set_zero(state.forces)
-        q0 -= state.forces.zero[0]
-        q1 -= state.forces.zero[1]
-    if touching and not state.touching:
-        _begin_contact(config, state, stamp, normal, q0, q1)
-        dt = 0.0
-    elif state.touching and not touching:
-        _end_contact(config, state, stamp)
-        forces.leave(state.forces, stamp)
-    elif not touching:
-        if anew:
-            forces.see_air(state.forces, config.noise, stamp, step, q0, q1)
-    elif dt > 0.0:
-        if anew and step > 0.0:
-            forces.add(state.forces, config.noise, step, normal, q0, q1)
-        friction.pass_time(state.friction, config.drift, dt)
-    if touching:
-        state.doubted = doubted
-    state.stamp = stamp
-    out.slips = known.slips
-    out.flags = 0 if known.shown else ASSUMED
-    now = state.forces.fast.value
-    judged = touching and normal >= SMALLEST_FORCE and now[0] >= SMALLEST_FORCE
+            forces.set_zero(tracked)
+            q0, q1 = _pull_of(state, sample)
+            _begin_contact(config, state, sample.stamp, sample.normal, q0, q1)
+        elif dt > 0.0:
+            if anew and step > 0.0:
+                q0, q1 = _pull_of(state, sample)
+                forces.add(tracked, config.noise, step, sample.normal, q0, q1)
+            friction.predict(state.friction, config.drift, dt)
+            older = dt
+        state.doubted = sample.doubted
+    elif state.touching:
+        _end_contact(config, state, sample.stamp)
+        forces.leave(tracked, sample.stamp)
+    elif anew:
+        q0, q1 = sample.lateral[0], sample.lateral[1]
+        forces.see_air(tracked, config.noise, sample.stamp, step, q0, q1)
+    state.stamp = sample.stamp
+    return older
+
+
+@njit(cache=True)
+def _judge_pull(config, state, sample, anew):
+    """Learn from the present ratio and remember it; the PullNow. anew: as of `_track_contact`."""
+    tracked, now = state.forces, state.forces.fast.value
+    judged = sample.touching and sample.normal >= SMALLEST_FORCE and now[0] >= SMALLEST_FORCE
     ratio, beyond, with_load = 0.0, math.nan, 0.0
     if judged:
-        u0, u1 = forces.direction(state.forces.fast)
-        clear = forces.tangential(state.forces.fast) > CLEAR_PULL * state.forces.filtered_noise
-        friction.look(state.friction, u0, u1, clear)
-        ratio = _judge_ratio(config, state, stamp) if anew else forces.ratio_of(state.forces.fast)
-        smooth = state.forces.slow.value
-        margin = max(DIP * now[0], DIP_NOISE * state.forces.filtered_noise)
+        u0, u1 = forces.direction(tracked.fast)
+        clear = forces.tangential(tracked.fast) > CLEAR_PULL * tracked.filtered_noise
+        friction.set_direction(state.friction, u0, u1, clear)
+        ratio = _judge_ratio(config, state, sample.stamp) if anew else forces.ratio_of(tracked.fast)
+        smooth = tracked.slow.value
+        margin = max(DIP * now[0], DIP_NOISE * tracked.filtered_noise)
         mean = state.friction.limit  # of the sample before
         if elements.press(state.elements, mean, smooth[0], margin, smooth[1], smooth[2]):
             state.pull.turned = True
         beyond, with_load = elements.shares(state.elements, now[0], now[1], now[2])
-    _remember(state.memory, stamp, math.nan if state.pull.turned else beyond, with_load)
-    stands = plateau.lasts(state.plateau, stamp)
+    _remember(state.memory, sample.stamp, math.nan if state.pull.turned else beyond, with_load)
+    stands = plateau.lasts(state.plateau, sample.stamp)
     ahead, spread = 0.0, 1.0
     if judged:
-        ahead, spread = _ahead(state.forces, config.horizon, ratio, stands)
-    friction.renew_aim(state.friction)
-    slipping, first_stick, stick_spread = friction.weigh(
-        state.friction,
-        config.drift,
-        state.plateau,
-        stands,
-        judged,
-        ratio,
-        beyond,
-        with_load,
-        ahead,
-        spread,
-        out,
-    )
-    mean = state.friction.limit
-    if not judged:
-        _say_nothing(out, 0.0)
-        out.flags |= NO_CONTACT
-        if touching:
-            elements.begin(state.elements, normal, q0, q1)
-        return
+        ahead, spread = _ahead(tracked, config.horizon, ratio, stands)
+    return friction.PullNow(stands, judged, ratio, beyond, with_load, ahead, spread)
+
+
+@njit(cache=True)
+def _write_pull(config, state, sample, ratio, slipping, dt, out):
+    """Complete the row of a sample whose ratio is judged: `friction.evaluate` has begun it.
+
+    dt: s by which the contact has become older.
+    """
+    tracked, now = state.forces, state.forces.fast.value
+    load = state.friction.limit * now[0]  # N, at which it slips
+    stick = elements.pull(state.elements, load, now[1], now[2])
     if slipping:
         out.flags |= SLIPPING
-    stick = elements.pull(state.elements, mean * now[0], now[1], now[2])
-    if not state.pull.turned and not slipping:
-        # A first pull: the mean over frictions, which the elements follow at the mean one only.
-        stick = first_stick
-    out.stick_ratio = 0.0 if slipping else stick
-    out.stick_ratio_stddev = math.hypot(stick_spread, 0.03)
-    if slipping:
-        out.slip_margin = 0.0
-    used = ratio / mean * friction.EDGE
-    error = math.hypot(state.forces.filtered_noise, state.forces.zero_error) / (mean * now[0])
+        out.stick_ratio = out.slip_margin = 0.0
+    elif state.pull.turned:
+        # The mean over frictions is that of a first pull; the elements follow at the mean friction.
+        out.stick_ratio = stick
+    out.stick_ratio_stddev = math.hypot(out.stick_ratio_stddev, 0.03)
+    used = ratio / state.friction.limit * friction.EDGE
+    error = math.hypot(tracked.filtered_noise, tracked.zero_error) / load
     out.slip_margin_stddev = math.hypot(out.slip_margin_stddev, math.hypot(used, error))
-    unsure = state.forces.zero_error > UNSURE * mean * now[0]
-    if doubted or unsure or not forces.noise_known(state.forces):
+    unsure = tracked.zero_error > UNSURE * state.friction.limit * now[0]
+    if sample.doubted or unsure or not forces.noise_known(tracked):
         out.flags |= ASSUMED
-    if doubted:
+    if sample.doubted:
         # The tare may be all of P and Q.
         out.stick_ratio_stddev = max(out.stick_ratio_stddev, 1.0)
         out.slip_margin_stddev = max(out.slip_margin_stddev, 1.0)
-    stiffness = elements.sudden_stiffness(config.finger, indentation)
+    stiffness = elements.sudden_stiffness(config.finger, sample.indentation)
     out.tangential_stiffness = stiffness
     out.tangential_displacement[:] = math.nan
-    if indentation > 0.0:
-        elements.displace(config.finger, state.elements, max(dt, 0.0), stiffness, now[1:])
+    if sample.indentation > 0.0:
+        elements.displace(config.finger, state.elements, dt, stiffness, now[1:])
         out.tangential_displacement[:] = state.elements.displaced
 
 
 @njit(cache=True)
-def see_stick(state, stamp, stick, sd):
-    """A stick ratio seen at a stamp; whether it told something."""
+def process_sample(config, state, sample, out):
+    """One record of SAMPLE to one of OUTPUT."""
+    stamp, normal, moisture = sample.stamp, sample.normal, sample.moisture
+    q0, q1 = sample.lateral[0], sample.lateral[1]
+    out.stamp_ns, out.normal_force = stamp, normal
+    out.tangential_force[0], out.tangential_force[1] = q0, q1
+    if not math.isfinite(normal + q0 + q1):
+        _write_invalid(state, out)
+        return
+    changed = moisture != state.friction.moisture and math.isfinite(moisture)
+    if changed and not state.friction.belief.has_evidence:
+        friction.set_prior(config.prior, state.friction, moisture)
+    dt, step = (stamp - state.stamp) * 1e-9, (stamp - state.measured.stamp) * 1e-9
+    anew = force_noise.measured_anew(state.measured, stamp, normal, q0, q1)
+    dt = _track_contact(config, state, sample, dt, step, anew)
+    _write_slips(state, out)
+    now = _judge_pull(config, state, sample, anew)
+    friction.refresh_directional(state.friction)
+    slipping = friction.evaluate(state.friction, config.drift, state.plateau, now, out)
+    if now.judged:
+        _write_pull(config, state, sample, now.ratio, slipping, dt, out)
+        return
+    _write_nothing(out, 0.0)
+    out.flags |= NO_CONTACT
+    if sample.touching:
+        q0, q1 = _pull_of(state, sample)
+        elements.begin(state.elements, normal, q0, q1)
+
+
+@njit(cache=True)
+def update_from_stick_ratio(state, stamp, stick, sd):
+    """Update from a stick ratio ± sd that was seen at a stamp (ns); whether it told something."""
     memory, pull = state.memory, state.pull
     for back in range(min(memory.next, REMEMBERED)):
         at = (memory.next - 1 - back) % REMEMBERED
@@ -305,30 +353,16 @@ def see_stick(state, stamp, stick, sd):
             pull.frames += 1
             if pull.frames > FRAMES:
                 return False
-            friction.see_stick(state.friction, beyond, with_load, stick, sd)
+            friction.update_from_stick_ratio(state.friction, beyond, with_load, stick, sd)
             return True
     return False
 
 
 @njit(cache=True)
-def follow_many(
-    config, state, stamps, normal, lateral, touching, doubted, indentation, moisture, out
-):
-    """Many samples: arrays (n,) of what `follow` takes, lateral (n, 2)."""
-    for i in range(len(stamps)):
-        follow(
-            config[0],
-            state[0],
-            stamps[i],
-            normal[i],
-            lateral[i, 0],
-            lateral[i, 1],
-            touching[i],
-            doubted[i],
-            indentation[i],
-            moisture[i],
-            out[i],
-        )
+def process_samples(config, state, samples, out):
+    """Records (n,) of SAMPLE to records (n,) of OUTPUT; config, state (1,)."""
+    for i in range(len(samples)):
+        process_sample(config[0], state[0], samples[i], out[i])
 
 
 @njit(cache=True)

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..compiled import njit
 
-TILTED = 0.05
+PRIOR_TILTED = 0.05
 """Probability that a sensor is not level."""
 LARGEST = 3.0
 """Standard deviations beyond which no tilt is believed."""
@@ -40,7 +40,7 @@ LEVEL = np.dtype(
 @njit(cache=True)
 def begin(level, sd):
     """Nothing is known but the standard deviation (rad) of the tilt."""
-    level.sd, level.tilted, level.at = sd, TILTED, 0.0
+    level.sd, level.tilted, level.at = sd, PRIOR_TILTED, 0.0
     level.tilt[:] = 0.0
     level.slope[:] = 0.0
     level.variance[:] = 0.0
@@ -74,7 +74,7 @@ def _tilt(level, log_friction):
 
 
 @njit(cache=True)
-def shown(level, log_friction, u0, u1):
+def slip_ratio(level, log_friction, u0, u1):
     """Ratio that slip shows in the direction u at this ln μ, and its standard deviation."""
     friction = math.exp(log_friction)
     t0, t1 = _tilt(level, log_friction)
@@ -86,7 +86,7 @@ def shown(level, log_friction, u0, u1):
 
 
 @njit(cache=True)
-def follows(level, ratio, u0, u1):
+def tilt_likelihood(level, ratio, u0, u1):
     """Likelihood, of ln r in the direction u, that Q follows P at this ratio r since the sensor is
     not level, and nothing pulls."""
     if level.sd == 0.0:
@@ -122,8 +122,8 @@ def _refer(level, log_friction):
 
 
 @njit(cache=True)
-def see_slip(level, log_friction, ratio, u0, u1, sd):
-    """A slip at this ratio ± sd in the direction u; log_friction: mean ln μ as it is known then."""
+def update(level, log_friction, ratio, u0, u1, sd):
+    """Update by a slip at this ratio ± sd in the direction u; log_friction: mean ln μ then."""
     _refer(level, log_friction)
     friction = math.exp(log_friction)
     gain = 1.0 + friction * friction
@@ -145,8 +145,8 @@ def see_slip(level, log_friction, ratio, u0, u1, sd):
 
 
 @njit(cache=True)
-def loosen(level, log_friction, variance, change):
-    """ln μ, known by its mean and variance, has changed by a random step of this variance."""
+def predict(level, log_friction, variance, change):
+    """ln μ, known by its mean and variance, has changed by a random step; change: its variance."""
     _refer(level, log_friction)
     keep = variance / max(variance + change, 1e-12)
     slope = level.slope.copy()

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..compiled import njit
 from . import windows
-from .forces import calm, lets_go, ratio_of, tangential
+from .forces import calm, is_releasing, ratio_of, tangential
 from .forecasts import KEPT, back, compare, due
 
 STILL, GONE = -1.0, -3.0
@@ -173,7 +173,7 @@ def judge(plateau, forecasts, forces, coupled, stamp):
     still = still and ratio > 0.05 and q > 6.0 * forces.noise
     still = still and forecasts.count > 2 * KEPT and calm(forces, stamp)
     # Q falls with P then, also where what was held is put down, but at another ratio than before.
-    letting_go = lets_go(forces)
+    letting_go = is_releasing(forces)
     if letting_go and not plateau.letting_go:
         plateau.kept_odds = plateau.past_odds[(forecasts.count - back(forecasts, stamp)) % KEPT]
         plateau.kept_ratio = mean_log_ratio(plateau)

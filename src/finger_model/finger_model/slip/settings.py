@@ -10,6 +10,8 @@ from functools import partial
 
 from finger_common.settings import Settings, setting
 
+from ..paper import NATURAL
+
 _runtime = partial(setting, runtime=True)
 
 
@@ -32,7 +34,8 @@ class SlipSettings(Settings):
     )
     friction_moisture_slope: float = _runtime(
         0.012,
-        "Change of the logarithm of the prior friction for each unit of moisture from 69.",
+        "Change of the logarithm of the prior friction for each unit of moisture from "
+        f"{NATURAL.moisture:g}.",
         minimum=-0.1,
         maximum=0.1,
     )
