@@ -38,7 +38,7 @@ LARGEST_DEPTH = 0.65
 POWERS = 3
 """Powers 0, 1 and 2 of s."""
 
-LARGEST_ASPECT, LARGEST_TILT = 1.6, math.radians(30.0)
+LARGEST_ASPECT, LARGEST_LEARNED_TILT = 1.6, math.radians(30.0)
 """Up to which the correction was learned."""
 STEEP = 0.5
 """How far aside the first touch lies (see `Touch`) from which the correction is worse."""
@@ -130,7 +130,7 @@ class PoseCorrection:
 
     def inside_but_for_aspect(self, tilt: float) -> bool:
         """Whether one was learned for such a finger at this tilt (rad), with some aspect."""
-        low_tilt = tilt <= LARGEST_TILT * (1 + 1e-9)
+        low_tilt = tilt <= LARGEST_LEARNED_TILT * (1 + 1e-9)
         low, high = SKIN_RATIOS
         known_skin = low * (1 - 1e-9) <= self.skin_ratio <= high * (1 + 1e-9)
         return low_tilt and known_skin and is_learned(self.geometry)
