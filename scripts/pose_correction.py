@@ -34,12 +34,12 @@ from finger_model.estimator import ContactEstimate
 from finger_model.estimator.estimate import ESTIMATE_FIELDS
 from finger_model.geometry import Geometry
 from finger_model.pose import correction
-from finger_model.pose.estimate import MeasuredOutline, ShapeEstimate
-from finger_model.pose.estimator import PoseEstimator
 from finger_model.pose.networks import MIDDLE_SKIN_RATIO, inputs
 from finger_model.pose.pose import Pose
-from finger_model.pose.settings import PoseSettings
 from finger_model.pose.touch import first_touch
+from finger_model.shape.estimate import MeasuredOutline, ShapeEstimate
+from finger_model.shape.estimator import PoseEstimator
+from finger_model.shape.settings import PoseSettings
 from finger_model.verification.cases import CALCULIX_FINGER, STUDY, reference, smooth_area
 
 PLACE = 0.2e-3

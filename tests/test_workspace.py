@@ -7,7 +7,9 @@ import configparser
 import re
 import subprocess
 import xml.etree.ElementTree as ElementTree
+from collections import defaultdict
 from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -109,6 +111,17 @@ def imports(tree: ast.Module) -> Iterator[tuple[int, str]]:
             yield from ((node.lineno, f"{node.module}.{a.name}") for a in node.names)
 
 
+def imported_folders(root: Path, file: Path, tree: ast.Module) -> Iterator[str]:
+    """Folders of the package `root` that a module of it imports relatively, but for its own."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.level:
+            module = file.parents[node.level - 1].joinpath(*(node.module or "").split("."))
+            for alias in node.names:
+                folder = (module / alias.name).relative_to(root).parts[0]
+                if (root / folder).is_dir() and folder != file.relative_to(root).parts[0]:
+                    yield folder
+
+
 def is_ros_module(file: Path) -> bool:
     """Whether a module may import ROS: a node, the base of nodes or a launch file."""
     return file.stem.endswith("_node") or "node" in file.parts or "launch" in file.parts
@@ -122,6 +135,21 @@ def test_imports_point_one_way(project_root: Path) -> None:
             if top in LAYERS and top != package and top not in LAYERS[package]:
                 wrong.append(f"{file.relative_to(project_root)}:{line} imports {name}")
     assert not wrong, "\n".join(wrong)
+
+
+def test_folders_of_a_package_import_one_way(project_root: Path) -> None:
+    graphs: dict[Path, dict[str, set[str]]] = defaultdict(lambda: defaultdict(set))
+    for package, file, tree in modules(project_root):
+        root = project_root / "src" / package / package
+        if file.parent != root:
+            folder = file.relative_to(root).parts[0]
+            graphs[root][folder].update(imported_folders(root, file, tree))
+    assert graphs
+    for root, graph in graphs.items():
+        try:
+            TopologicalSorter(graph).prepare()
+        except CycleError as error:
+            pytest.fail(f"{root.name}: folders import one another: {' → '.join(error.args[1])}")
 
 
 def test_cores_import_no_ros(project_root: Path) -> None:

@@ -24,10 +24,10 @@ from finger_common.moisture import MOISTURE_RANGE
 from .estimator import ContactEstimate, ContactEstimator, EstimateBlock
 from .laws import MaxwellLaw
 from .parameter_sets import ParameterSets
-from .pose.estimate import MeasuredOutline, ShapeEstimate
-from .pose.estimator import PoseEstimator
-from .pose.settings import PoseSettings
 from .reduced.model import ReducedModel
+from .shape.estimate import MeasuredOutline, ShapeEstimate
+from .shape.estimator import PoseEstimator
+from .shape.settings import PoseSettings
 from .slip import SlipEstimate, SlipEstimator, SlipSettings
 from .slip.estimate import OUTPUT
 from .slip.shear import shear_curve

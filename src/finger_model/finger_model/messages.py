@@ -19,7 +19,7 @@ from finger_common.parameter_values import parameter_fields, parameter_values
 from finger_common.stamps import NANOSECONDS, header_stamp, stamp_of, time_fields
 
 from .estimator import ContactEstimate, EstimatorEvent, EventType
-from .pose.estimate import NO_OUTLINE, MeasuredOutline, ShapeEstimate
+from .shape.estimate import NO_OUTLINE, MeasuredOutline, ShapeEstimate
 from .slip import SlipEstimate
 
 PLATE = "plate"

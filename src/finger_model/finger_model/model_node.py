@@ -82,9 +82,9 @@ from .messages import (
 )
 from .node.calibration import LiveCalibration
 from .parameter_sets import ParameterSets
-from .pose.estimate import MeasuredOutline
-from .pose.settings import PoseSettings
 from .reduced.model import POPULATION, ReducedModel
+from .shape.estimate import MeasuredOutline
+from .shape.settings import PoseSettings
 from .slip import SlipSettings
 from .subject_calibration import fit_subject
 from .subjects import find_subject

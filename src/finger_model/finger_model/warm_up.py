@@ -17,9 +17,9 @@ import numpy as np
 from .estimator import ContactEstimator, members, stream
 from .followers import Followers
 from .geometry import Geometry
-from .pose.estimate import NO_OUTLINE
-from .pose.settings import PoseSettings
 from .reduced.model import ReducedModel, load_population
+from .shape.estimate import NO_OUTLINE
+from .shape.settings import PoseSettings
 from .slip import SlipSettings
 
 

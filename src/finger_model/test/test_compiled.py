@@ -233,8 +233,8 @@ from finger_model.estimator import ContactEstimator, EstimatorSettings
 from finger_model.followers import Followers, prepare
 from finger_model.geometry import Geometry
 from finger_model.parameter_sets import ParameterSets
-from finger_model.pose.estimate import MeasuredOutline
-from finger_model.pose.settings import PoseSettings
+from finger_model.shape.estimate import MeasuredOutline
+from finger_model.shape.settings import PoseSettings
 from finger_model.reduced.model import ReducedModel, load_population
 from finger_model.slip import SlipSettings
 from finger_model.warm_up import warm_up_all

@@ -18,10 +18,10 @@ from finger_model.estimator.parameter_selection import select_parameters
 from finger_model.followers import Followers, prepare
 from finger_model.geometry import Geometry
 from finger_model.parameter_sets import ParameterSets
-from finger_model.pose.estimate import MeasuredOutline
-from finger_model.pose.settings import PoseSettings
 from finger_model.reduced import ReducedModel
 from finger_model.reduced.model import load_population
+from finger_model.shape.estimate import MeasuredOutline
+from finger_model.shape.settings import PoseSettings
 from finger_model.slip import SlipSettings
 from finger_model.slip.shear import _table, shear_curve
 

@@ -51,8 +51,8 @@ from finger_model.messages import (  # noqa: E402
     wrench_of,
 )
 from finger_model.parameter_sets import ParameterSets  # noqa: E402
-from finger_model.pose.estimate import ShapeEstimate  # noqa: E402
-from finger_model.pose.estimator import PoseEstimator  # noqa: E402
+from finger_model.shape.estimate import ShapeEstimate  # noqa: E402
+from finger_model.shape.estimator import PoseEstimator  # noqa: E402
 from finger_model.slip import SlipEstimate, SlipEstimator  # noqa: E402
 from finger_model.warm_up import warm_up_all  # noqa: E402
 from finger_msgs.msg import (  # noqa: E402

@@ -21,13 +21,13 @@ from finger_model.geometry import Geometry
 from finger_model.laws import GeneralizedMaxwell2, StandardLinearSolid
 from finger_model.parameter_sets import ParameterSet, ParameterSets
 from finger_model.pose.correction import STEEP, PoseCorrection
-from finger_model.pose.estimate import MeasuredOutline
-from finger_model.pose.estimator import PoseEstimator
 from finger_model.pose.pose import Pose
-from finger_model.pose.settings import PoseSettings
 from finger_model.pose.touch import first_touch
 from finger_model.reduced import ReducedModel
 from finger_model.reduced.model import load_population
+from finger_model.shape.estimate import MeasuredOutline
+from finger_model.shape.estimator import PoseEstimator
+from finger_model.shape.settings import PoseSettings
 from finger_model.verification.cases import CALCULIX_FINGER, STUDY, reference, smooth_area
 
 ROUND = 40e-6

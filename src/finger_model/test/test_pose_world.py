@@ -21,10 +21,10 @@ from finger_model.estimator.estimate import ESTIMATE_FIELDS
 from finger_model.geometry import Geometry
 from finger_model.messages import plate_frame
 from finger_model.pose.correction import PoseCorrection
-from finger_model.pose.estimate import MeasuredOutline, ShapeEstimate
-from finger_model.pose.estimator import PoseEstimator
 from finger_model.pose.pose import Pose
-from finger_model.pose.settings import PoseSettings
+from finger_model.shape.estimate import MeasuredOutline, ShapeEstimate
+from finger_model.shape.estimator import PoseEstimator
+from finger_model.shape.settings import PoseSettings
 
 SKIN = 60.0
 RATE, FRAMES = 250, 10

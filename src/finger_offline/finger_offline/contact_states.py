@@ -21,7 +21,7 @@ from finger_common.stamps import seconds
 from finger_model.estimator import EstimateBlock
 from finger_model.estimator.estimate import CSV_FIELDS, ESTIMATE_FIELDS
 from finger_model.messages import shape_fields
-from finger_model.pose.estimate import ShapeEstimate
+from finger_model.shape.estimate import ShapeEstimate
 
 STATE_TYPE = TOPICS["contact_state"].type
 SLIP_TYPE = TOPICS["contact_slip"].type

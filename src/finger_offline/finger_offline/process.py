@@ -50,9 +50,9 @@ from finger_model.messages import (
     stick_of,
 )
 from finger_model.parameter_sets import ParameterSets
-from finger_model.pose.estimate import NO_OUTLINE, MeasuredOutline, ShapeEstimate
-from finger_model.pose.settings import PoseSettings
 from finger_model.reduced.model import load_population
+from finger_model.shape.estimate import NO_OUTLINE, MeasuredOutline, ShapeEstimate
+from finger_model.shape.settings import PoseSettings
 from finger_model.slip import SlipSettings
 from finger_vision.area_sensor import ContactMeasurement
 from finger_vision.camera_stream import LeftOut

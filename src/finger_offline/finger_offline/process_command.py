@@ -128,7 +128,7 @@ def _name_of(bag: Path) -> str:
 def estimator_settings(found: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     """Values by name as checked settings of the estimator and of the pose; raises InputError."""
     from finger_model.estimator import EstimatorSettings
-    from finger_model.pose.settings import PoseSettings
+    from finger_model.shape.settings import PoseSettings
 
     pose = {name: found.pop(name) for name in list(found) if name in PoseSettings.parameters()}
     EstimatorSettings.parameters().check(found)

@@ -18,8 +18,8 @@ from finger_model.estimator import ContactEstimator, EstimatorEvent, EstimatorSe
 from finger_model.finger import load_reduced
 from finger_model.followers import Followers
 from finger_model.messages import event_fields, shape_fields, slip_numbers
-from finger_model.pose.estimate import MeasuredOutline
-from finger_model.pose.settings import PoseSettings
+from finger_model.shape.estimate import MeasuredOutline
+from finger_model.shape.settings import PoseSettings
 from finger_model.slip import SlipSettings
 from finger_offline.process import process
 from finger_offline.process_options import ProcessOptions

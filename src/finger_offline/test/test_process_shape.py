@@ -25,8 +25,8 @@ from finger_model.material import Material
 from finger_model.messages import event_fields, outline_of, shape_fields
 from finger_model.paper import NATURAL
 from finger_model.pose.correction import PoseCorrection
-from finger_model.pose.estimator import PoseEstimator
 from finger_model.pose.pose import Pose
+from finger_model.shape.estimator import PoseEstimator
 
 SHAPE = "finger_msgs/msg/ContactShape"
 POSE = Pose(1.3, 0.25, -0.1)

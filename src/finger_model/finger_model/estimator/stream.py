@@ -21,12 +21,12 @@ from finger_common.flags import StateFlag
 
 from .. import force_noise
 from ..compiled import njit
+from ..delayed import REMEMBERED
 from ..finger_prior import PEAK_FORCES
 from ..pose.correction import LARGEST_DEPTH
 from ..reduced import kernels as rk
 from ..sensor_air import SILENCE
 from . import area_filter, members
-from .delayed import REMEMBERED
 
 _names: Any = namedtuple("FLAG", StateFlag.__members__)  # type: ignore[misc]
 FLAG: Any = _names(*map(int, StateFlag))

@@ -27,8 +27,8 @@ from finger_common.errors import InputError
 from finger_common.flags import StateFlag
 from finger_common.stamps import stamp_array
 
+from ..delayed import Delayed
 from ..estimator import ContactEstimate, EstimateBlock
-from ..estimator.delayed import Delayed
 from ..geometry import Geometry
 from ..laws import MaxwellLaw
 from ..material import Material

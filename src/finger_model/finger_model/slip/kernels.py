@@ -18,7 +18,7 @@ from finger_common.flags import SlipFlag
 
 from .. import force_noise
 from ..compiled import njit
-from ..estimator.delayed import REMEMBERED
+from ..delayed import REMEMBERED
 from ..sensor_air import SILENCE
 from . import elements, forces, forecasts, friction, plateau
 

@@ -31,12 +31,12 @@ from finger_common.axes import DEFAULT_NORMAL_AXIS, axis_of, lateral_axes
 from finger_common.flags import ShapeFlag, StateFlag
 from finger_common.stamps import NANOSECONDS, nanoseconds
 
+from ..delayed import REMEMBERED, Delayed
 from ..estimator import ContactEstimate
-from ..estimator.delayed import REMEMBERED, Delayed
+from ..pose.correction import Outline, PoseCorrection
+from ..pose.pose import ASPECTS, LARGEST_TILT, Pose
 from ..sensor_air import SILENCE
-from .correction import Outline, PoseCorrection
 from .estimate import MeasuredOutline, ShapeEstimate
-from .pose import ASPECTS, LARGEST_TILT, Pose
 from .settings import PoseSettings
 from .torque_zero import TorqueZero
 
