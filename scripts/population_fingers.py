@@ -33,6 +33,7 @@ import yaml
 from finger_common.files import atomic_write
 from finger_common.flags import StateFlag
 from finger_model.estimator import ContactEstimator, members
+from finger_model.estimator.area_filter import TISSUE
 from finger_model.estimator.neighbourhood import Neighbourhood
 from finger_model.fem.full_order import FullOrderModel
 from finger_model.finger import load_reduced
@@ -247,7 +248,7 @@ def states_of(
     x = mean.copy()
     left = 0.0
     for _ in range(4):
-        near = Neighbourhood.at(model, base, x[2:])
+        near = Neighbourhood.at(model, base, x[TISSUE])
         rows, values, weights, residuals, before = [], [], [], [], 0.0
         for press in session.presses:
             found = near.follow(before, press.time, press.force)
@@ -255,7 +256,7 @@ def states_of(
             use = (press.force > COUNTED_FORCE) & (press.area > 5e-6)
             log_force = np.log(np.maximum(press.force, 0.05))
             h = np.column_stack([np.ones(len(log_force)), log_force, found.sensitivities])[use]
-            y = np.log(press.area[use] / found.area[use]) + h[:, 2:] @ near.shift
+            y = np.log(press.area[use] / found.area[use]) + h[:, TISSUE] @ near.shift
             rows.append(h)
             values.append(y)
             # As accurate as some ten frames a second with the misfit of a few per cent.
@@ -265,7 +266,9 @@ def states_of(
         left = rms(np.concatenate([r - r.mean() for r in residuals]))
         inverse = np.linalg.inv(covariance)
         x = np.linalg.solve(h.T @ (w[:, None] * h) + inverse, h.T @ (w * y) + inverse @ mean)
-        x[2:] = np.clip(x[2:], -1.5 * np.array(members.LIMITS), 1.5 * np.array(members.LIMITS))
+        x[TISSUE] = np.clip(
+            x[TISSUE], -1.5 * np.array(members.LIMITS), 1.5 * np.array(members.LIMITS)
+        )
     return x, left
 
 

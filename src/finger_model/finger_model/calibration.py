@@ -33,6 +33,7 @@ from finger_common.errors import InputError
 
 from .anthropometry import GeometryEstimate
 from .estimator import EstimatorSettings, members
+from .estimator.area_filter import TISSUE
 from .estimator.neighbourhood import Neighbourhood
 from .estimator.parameter_selection import check_sets, select_parameters
 from .finger import load_reduced
@@ -306,15 +307,15 @@ class _Problem:
         from scipy.optimize import lsq_linear  # a third of a second to import
 
         low, high = np.full(len(x), -_LARGEST_STEP), np.full(len(x), _LARGEST_STEP)
-        limits, tissue = 1.5 * np.array(members.LIMITS), slice(2, _STATES)
-        low[tissue] = np.minimum(np.maximum(low[tissue], -limits - x[tissue]), -_SMALLEST_STEP)
-        high[tissue] = np.maximum(np.minimum(high[tissue], limits - x[tissue]), _SMALLEST_STEP)
+        limits = 1.5 * np.array(members.LIMITS)
+        low[TISSUE] = np.minimum(np.maximum(low[TISSUE], -limits - x[TISSUE]), -_SMALLEST_STEP)
+        high[TISSUE] = np.maximum(np.minimum(high[TISSUE], limits - x[TISSUE]), _SMALLEST_STEP)
         root = np.linalg.cholesky(information)
         return lsq_linear(root.T, np.linalg.solve(root, gradient), (low, high)).x
 
     def follow(self, x: np.ndarray) -> list[_Areas]:
         """The presses beside the model of the finger at x."""
-        return _follow(self.model, self.base, x[2:_STATES], self.presses)
+        return _follow(self.model, self.base, x[TISSUE], self.presses)
 
     def slope(self, x: np.ndarray, press: _Areas) -> np.ndarray:
         """Derivatives (k, 6) of the areas of a press."""
@@ -370,7 +371,7 @@ class _Problem:
     ) -> list[np.ndarray]:
         """Logarithms of the model's areas for another geometry of the population box."""
         model = load_population(geometry)
-        areas = _follow(model, model.constants(parameters), x[2:_STATES], self.presses)
+        areas = _follow(model, model.constants(parameters), x[TISSUE], self.presses)
         return [np.log(press.model) for press in areas]
 
 
@@ -478,7 +479,7 @@ def _quantities(
     time = np.linspace(0.0, _REFERENCE_TIME, 101)
     force = _REFERENCE_FORCE * np.minimum(time / 0.2, 1.0)
     press = CalibrationPress(time, force, time[-1:], np.ones(1), np.ones(1))
-    seen = _follow(model, base, x[2:], [press])[0]
+    seen = _follow(model, base, x[TISSUE], [press])[0]
     area = float(seen.model[0] * math.exp(seen.h[0] @ x - seen.offset[0]))
     of_area = math.sqrt(seen.h[0] @ covariance @ seen.h[0])
     deviation = np.sqrt(np.diag(covariance + assumed @ assumed.T))

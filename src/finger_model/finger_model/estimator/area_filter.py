@@ -53,11 +53,13 @@ ACCEPTED_OUTLIERS = 3
 
 FILTERS = len(SCALES)
 
-FINGER_STATES = 2 + DIRECTIONS
+FIRST_TISSUE = 2
+TISSUE = slice(FIRST_TISSUE, FIRST_TISSUE + DIRECTIONS)
+FINGER_STATES = FIRST_TISSUE + DIRECTIONS
 MOISTURE = FINGER_STATES
 CONTACT = MOISTURE + 1
 STATES = CONTACT + 3
-"""Places in x: finger 0 … 4, moisture 5, contact 6 to 8."""
+"""Places in x: gain 0, slope 1, tissue 2 to 4 (these are the finger's), moisture 5, contact 6 to 8."""
 
 BEYOND_DEVIATION = 0.5
 """Of f: beyond the force limit the area may stay, or grow with the root of the force."""
@@ -142,8 +144,8 @@ def regressors(noise, force, limit, sensitivity, gain, h):
     h[1] = gain * phi
     moisture = gain * (noise.moisture_direction[0] + noise.moisture_direction[1] * phi)
     for j in range(DIRECTIONS):
-        h[2 + j] = sensitivity[j]
-        moisture += noise.moisture_direction[2 + j] * sensitivity[j]
+        h[FIRST_TISSUE + j] = sensitivity[j]
+        moisture += noise.moisture_direction[FIRST_TISSUE + j] * sensitivity[j]
     h[MOISTURE] = moisture
     h[CONTACT] = gain
     h[CONTACT + 1] = gain * phi
@@ -191,15 +193,15 @@ def initialise(bank, noise, moisture_stamp):
 
 
 @njit(cache=True)
-def keep(bank, copy):
-    """Copy the filters' knowledge of the finger into another bank."""
-    copy.mean[:] = bank.mean
-    copy.covariance[:] = bank.covariance
-    copy.log_weight[:] = bank.log_weight
-    copy.areas = bank.areas
-    copy.surprise = bank.surprise
-    copy.mismatch = bank.mismatch
-    copy.moisture_stamp = bank.moisture_stamp
+def copy_knowledge(source, target):
+    """Copy what the bank `source` knows of the finger into the bank `target`."""
+    target.mean[:] = source.mean
+    target.covariance[:] = source.covariance
+    target.log_weight[:] = source.log_weight
+    target.areas = source.areas
+    target.surprise = source.surprise
+    target.mismatch = source.mismatch
+    target.moisture_stamp = source.moisture_stamp
 
 
 @njit(cache=True)

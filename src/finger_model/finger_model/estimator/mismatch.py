@@ -64,13 +64,13 @@ def mismatch_of(bank: np.ndarray, noise: np.ndarray) -> Mismatch:
         part = covariance[np.ix_(free, free)]
         square = float(change[free] @ np.linalg.solve(part, change[free]))
     area = change[0] + change[1] * math.log(TYPICAL_FORCE)
-    stiffness, time = (change[2 + members.DIRECTION_NAMES.index(d)] for d in ("stiffness", "time"))
+    tissue = dict(zip(members.DIRECTION_NAMES, change[area_filter.TISSUE]))
     return Mismatch(
         float(bank["surprise"]),
         bool(bank["mismatch"]),
         math.sqrt(max(square, 0.0)),
         float(chdtrc(max(int(free.sum()), 1), square)),
         math.exp(area),
-        math.exp(stiffness),
-        math.exp(time),
+        math.exp(tissue["stiffness"]),
+        math.exp(tissue["time"]),
     )

@@ -189,7 +189,7 @@ def _follow_pull(config, state, normal_force, stamp):
         contact.untared = True
         if state.counters.contacts > 0:
             # The last contact was already with this tare.
-            area_filter.keep(state.before, state.filters)
+            area_filter.copy_knowledge(state.before, state.filters)
 
 
 @njit(cache=True)
@@ -207,10 +207,10 @@ def _follow_contact(config, state, normal_force, stamp, silent):
         if contact.beyond or _offset_suspected(contact, stamp):
             # What was learned from a force that was none, or beyond the model's, is forgotten, and
             # areas of this contact that are still under way teach nothing.
-            area_filter.keep(state.before, state.filters)
+            area_filter.copy_knowledge(state.before, state.filters)
             contact.liftoff = contact.onset - 1
     if begins:
-        area_filter.keep(state.filters, state.before)
+        area_filter.copy_knowledge(state.filters, state.before)
         area_filter.begin_contact(state.filters, config.noise, stamp)
         rise = (stamp - contact.air) * 1e-9
         contact.unseen = silent or contact.air == 0 or rise > SLOWEST_TOUCH
@@ -253,7 +253,7 @@ def _follow_limit(state, beyond, stamp):
     if contact.touching and beyond and not contact.beyond:
         contact.beyond = True
         if not _offset_suspected(contact, stamp):
-            area_filter.keep(state.filters, state.before)
+            area_filter.copy_knowledge(state.filters, state.before)
 
 
 @njit(cache=True)
@@ -417,7 +417,7 @@ def _advance_model(net, base, par, finger, work, config, state, stamp, normal_fo
         # What the last contacts told of the finger moves the model itself, so that sensitivities
         # are those of this finger.
         members.advance(net, par, finger, work, near, stamp, normal_force, True)
-        members.shift_to(near, state.filters.start[2:])
+        members.shift_to(near, state.filters.start[area_filter.TISSUE])
         _place(net, base, par, finger, work, state)
         members.renew(net, par, finger, work, near, normal_force)
     else:
@@ -470,9 +470,7 @@ def _write_contact(config, state, finger, normal_force, limit, stamp, row):
     area_filter.regressors(noise, normal_force, limit, near.indentation, gain, h)
     offset = _offset(state, near.indentation)
     deeper, spread = area_filter.estimate(filters, noise, h, offset, stamp, False)
-    for i in range(area_filter.STATES):
-        if 2 <= i <= area_filter.MOISTURE:
-            h[i] = 0.0
+    h[area_filter.TISSUE] = h[area_filter.MOISTURE] = 0.0
     shared, _ = area_filter.estimate(filters, noise, h, 0.0, stamp, False)
     spread += shared * shared + INDENTATION_DEVIATION * INDENTATION_DEVIATION
     row.indentation = finger.indentation * math.exp(deeper)
@@ -597,7 +595,7 @@ def initialise_filters(net, base, par, finger, work, configuration, states):
     for bank in (state.filters, state.before):
         area_filter.initialise(bank, config.noise, config.moisture_stamp)
     state.contact.has_fused = False
-    members.shift_to(state.members, state.filters.start[2:])
+    members.shift_to(state.members, state.filters.start[area_filter.TISSUE])
     _place(net, base, par, finger, work, state)
 
 
@@ -658,7 +656,7 @@ def begin_contact(net, base, par, finger, work, configuration, states):
     """Filters and members as at an onset now; all of these are copies of a finger in the air."""
     config, state = configuration[0], states[0]
     area_filter.begin_contact(state.filters, config.noise, state.stream.last_stamp)
-    members.shift_to(state.members, state.filters.start[2:])
+    members.shift_to(state.members, state.filters.start[area_filter.TISSUE])
     _place(net, base, par, finger, work, state)
 
 
