@@ -266,9 +266,8 @@ def states_of(
         left = rms(np.concatenate([r - r.mean() for r in residuals]))
         inverse = np.linalg.inv(covariance)
         x = np.linalg.solve(h.T @ (w[:, None] * h) + inverse, h.T @ (w * y) + inverse @ mean)
-        x[TISSUE] = np.clip(
-            x[TISSUE], -1.5 * np.array(members.LIMITS), 1.5 * np.array(members.LIMITS)
-        )
+        limits = 1.5 * np.array(members.LIMITS)
+        x[TISSUE] = np.clip(x[TISSUE], -limits, limits)
     return x, left
 
 

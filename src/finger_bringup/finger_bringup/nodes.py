@@ -23,6 +23,7 @@ from finger_common.entry import command_of
 from finger_common.errors import InputError, known_names, nearest
 from finger_common.namespaces import DEFAULT_NAMESPACE, check_namespace, own_name
 from finger_common.subject_code import FINGERS
+from finger_common.trial_phases import TARGET_FORCE
 from finger_driver.force import SOURCES as FORCE_SOURCES
 from finger_sim.addresses import RigAddresses
 
@@ -310,7 +311,7 @@ def simulated_boards(fingers: Iterable[str]) -> tuple[list[ProcessSpec], dict[st
         bus = RigAddresses.private(Path())
         options = f"port={bus.can_port}"
         command = [*command_of("finger_driver.simulators.cli"), "netcanoem"]
-        command += ["--press", "1.35", f"--axis={DEFAULT_NORMAL_AXIS}"]
+        command += ["--press", f"{TARGET_FORCE:g}", f"--axis={DEFAULT_NORMAL_AXIS}"]
         command += ["--channel", bus.can_channel, "--options", options]
         specs.append(ProcessSpec(f"{finger}/board", tuple(command)))
         parameters[f"{finger}/force"] = {

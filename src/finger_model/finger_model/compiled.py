@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 
-from finger_common import contact_threshold, flags
+from finger_common import contact_threshold, flags, trial_phases
 from finger_common.files import atomic_write
 
 WITHOUT_KERNELS = ("commands", "verification")
@@ -127,7 +127,8 @@ def _forget_old_folders(cache: Path, sources: str) -> None:
 try:
     from numba import config, njit, prange
 
-    if not keep_kernels(Path(__file__).parent, contact_threshold.__file__, flags.__file__):
+    _others = (contact_threshold.__file__, flags.__file__, trial_phases.__file__)
+    if not keep_kernels(Path(__file__).parent, *_others):
         compiling: Any = njit
 
         def njit(*functions: Callable[..., Any], **options: Any) -> Any:  # type: ignore[no-redef]

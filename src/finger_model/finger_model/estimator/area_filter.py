@@ -12,11 +12,11 @@ gain, slope and w = (stiffness, creep time, creep) belong to the finger and last
 ∂ln A/∂w are sensitivities of the reduced model along the present history (`members`), which runs at
 the shift w₀. moisture is the error of the reading in standard deviations of the population, u what
 it does to the other coordinates. d, e and f belong to the contact (drawn anew at each onset), and d
-drifts within a contact, in the end as far as from one contact to another. In a contact that was
-pressed beyond KNOWN_FORCE it also walks with φ, up and down, as the numbers of the finger describe
-neither the areas there nor those after it that well. The model ends at a force limit; φ is held
-there, and f is the exponent of the area over β = ln(F / limit) beyond it, so that areas measured
-there tell little of the finger.
+drifts within a contact, in the end as far as from one contact to another. The numbers of the finger
+describe presses up to TARGET_FORCE. In a contact that was pressed beyond it, d also walks with φ,
+up and down, as they describe neither the areas there nor those after it that well. The model ends
+at a force limit; φ is held there, and f is the exponent of the area over β = ln(F / limit) beyond
+it, so that areas measured there tell little of the finger.
 
 How much contacts of one finger differ is not known beforehand: presses of a simulated finger are
 all alike, real ones scatter by 5 %. So a bank of such filters runs side by side, with SCALES times
@@ -35,6 +35,7 @@ import math
 import numpy as np
 
 from ..compiled import njit
+from ..paper import TARGET_FORCE
 from .members import DIRECTIONS
 
 SCALES = (0.1, 0.4, 1.5, 0.1, 0.4, 1.5)
@@ -59,7 +60,7 @@ FINGER_STATES = FIRST_TISSUE + DIRECTIONS
 MOISTURE = FINGER_STATES
 CONTACT = MOISTURE + 1
 STATES = CONTACT + 3
-"""Places in x: gain 0, slope 1, tissue 2 to 4 (these are the finger's), moisture 5, contact 6 to 8."""
+"""Places in x: the finger's gain 0, slope 1 and tissue 2 to 4; moisture 5; contact 6 to 8."""
 
 BEYOND_DEVIATION = 0.5
 """Of f: beyond the force limit the area may stay, or grow with the root of the force."""
@@ -77,9 +78,6 @@ and measurement."""
 LEAST_FORCE = 0.05
 """N, below which φ is held."""
 
-KNOWN_FORCE = 1.35
-"""N, up to which presses were that the finger's numbers describe; see `walk_variance`."""
-
 _ITERATIONS = 20
 
 FILTER_BANK = np.dtype(
@@ -92,8 +90,8 @@ FILTER_BANK = np.dtype(
         ("newest", "f8"),  # ln of the newest fused area over the model's
         ("tolerance", "f8"),  # HULL deviations of it
         ("stamp", "i8"),  # ns, time of mean and covariance
-        ("phi", "f8"),  # at that time; before an area of the contact, that of KNOWN_FORCE
-        ("load", "f8"),  # ln of the contact's largest force over KNOWN_FORCE, 0 below
+        ("phi", "f8"),  # at that time; before an area of the contact, that of TARGET_FORCE
+        ("load", "f8"),  # ln of the contact's largest force over TARGET_FORCE, 0 below
         ("moisture_stamp", "i8"),  # ns, until which the reading of the moisture has aged
         ("outliers", "i8"),  # in a row
         ("areas", "i8"),  # of this finger that were compared so far
@@ -253,7 +251,7 @@ def begin_contact(bank, noise, stamp):
         bank.log_weight[k] *= MEMORY_BETWEEN_CONTACTS
     bank.stamp = stamp
     bank.moisture_stamp = max(stamp, bank.moisture_stamp)
-    bank.phi, bank.load = math.log(KNOWN_FORCE), 0.0
+    bank.phi, bank.load = math.log(TARGET_FORCE), 0.0
     bank.outliers = 0
     bank.measured = False
     mixture_mean(bank, bank.start)
@@ -319,7 +317,7 @@ def _normalised(bank, k, noise, h, offset, model_area, area, sd):
 @njit(cache=True)
 def follow_load(bank, force):
     """The contact's force is `force` (N) now."""
-    bank.load = max(bank.load, math.log(max(force / KNOWN_FORCE, 1.0)))
+    bank.load = max(bank.load, math.log(max(force / TARGET_FORCE, 1.0)))
 
 
 @njit(cache=True)
@@ -327,7 +325,7 @@ def _drift_until(bank, noise, k, stamp, phi):
     """Variance that d of filter k gains until `stamp` and `phi`: by time that of a process of
     Ornstein and Uhlenbeck, by force that of a walk."""
     walked = DRIFT_SCALES[k] ** 2 * noise.drift_variance * max((stamp - bank.stamp) * 1e-9, 0.0)
-    load = max(bank.load, phi - math.log(KNOWN_FORCE))
+    load = max(bank.load, phi - math.log(TARGET_FORCE))
     by_force = noise.walk_variance * load * abs(phi - bank.phi)
     return by_force - noise.drift_limit * math.expm1(-walked / noise.drift_limit)
 
