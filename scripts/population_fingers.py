@@ -32,9 +32,10 @@ import yaml
 
 from finger_common.files import atomic_write
 from finger_common.flags import StateFlag
-from finger_model.estimator import ContactEstimator, members
+from finger_model.estimator import ContactEstimator
 from finger_model.estimator.area_filter import TISSUE
-from finger_model.estimator.neighbourhood import Neighbourhood
+from finger_model.estimator.perturbed_finger import PerturbedFinger
+from finger_model.estimator.sensitivities import SHIFT_LIMITS
 from finger_model.fem.full_order import FullOrderModel
 from finger_model.finger import load_reduced
 from finger_model.finger_prior import NO_PEAK, PEAK_FORCES, FingerPrior
@@ -248,15 +249,15 @@ def states_of(
     x = mean.copy()
     left = 0.0
     for _ in range(4):
-        near = Neighbourhood.at(model, base, x[TISSUE])
+        perturbed = PerturbedFinger.at(model, base, x[TISSUE])
         rows, values, weights, residuals, before = [], [], [], [], 0.0
         for press in session.presses:
-            found = near.follow(before, press.time, press.force)
+            found = perturbed.run(before, press.time, press.force)
             before = press.time[-1]
             use = (press.force > COUNTED_FORCE) & (press.area > 5e-6)
             log_force = np.log(np.maximum(press.force, 0.05))
             h = np.column_stack([np.ones(len(log_force)), log_force, found.sensitivities])[use]
-            y = np.log(press.area[use] / found.area[use]) + h[:, TISSUE] @ near.shift
+            y = np.log(press.area[use] / found.area[use]) + h[:, TISSUE] @ perturbed.shift
             rows.append(h)
             values.append(y)
             # As accurate as some ten frames a second with the misfit of a few per cent.
@@ -266,7 +267,7 @@ def states_of(
         left = rms(np.concatenate([r - r.mean() for r in residuals]))
         inverse = np.linalg.inv(covariance)
         x = np.linalg.solve(h.T @ (w[:, None] * h) + inverse, h.T @ (w * y) + inverse @ mean)
-        limits = 1.5 * np.array(members.LIMITS)
+        limits = 1.5 * np.array(SHIFT_LIMITS)
         x[TISSUE] = np.clip(x[TISSUE], -limits, limits)
     return x, left
 

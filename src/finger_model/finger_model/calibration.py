@@ -32,10 +32,11 @@ import numpy as np
 from finger_common.errors import InputError
 
 from .anthropometry import GeometryEstimate
-from .estimator import EstimatorSettings, members
+from .estimator import EstimatorSettings
 from .estimator.area_filter import TISSUE
-from .estimator.neighbourhood import Neighbourhood
 from .estimator.parameter_selection import check_sets, select_parameters
+from .estimator.perturbed_finger import PerturbedFinger
+from .estimator.sensitivities import SHIFT_LIMITS
 from .finger import load_reduced
 from .finger_prior import COORDINATES, FingerPrior
 from .geometry import Geometry
@@ -307,7 +308,7 @@ class _Problem:
         from scipy.optimize import lsq_linear  # a third of a second to import
 
         low, high = np.full(len(x), -_LARGEST_STEP), np.full(len(x), _LARGEST_STEP)
-        limits = 1.5 * np.array(members.LIMITS)
+        limits = 1.5 * np.array(SHIFT_LIMITS)
         low[TISSUE] = np.minimum(np.maximum(low[TISSUE], -limits - x[TISSUE]), -_SMALLEST_STEP)
         high[TISSUE] = np.maximum(np.minimum(high[TISSUE], limits - x[TISSUE]), _SMALLEST_STEP)
         root = np.linalg.cholesky(information)
@@ -439,26 +440,26 @@ def _follow(
     model: ReducedModel, base: np.ndarray, w: np.ndarray, presses: Sequence[CalibrationPress]
 ) -> list[_Areas]:
     """The presses beside the model of a finger at w (3,), which creeps on between them."""
-    near = Neighbourhood.at(model, base, w)
+    perturbed = PerturbedFinger.at(model, base, w)
     found = []
     before = presses[0].time[0]
     for press in presses:
         steps = np.arange(press.time[0], press.time[-1], MODEL_STEP)
         time = np.union1d(steps, press.area_time)
         force = np.maximum(np.interp(time, press.time, press.force, 0.0, 0.0), 0.0)
-        followed = near.follow(before, time, force)
+        history = perturbed.run(before, time, force)
         before = time[-1]
         at = np.searchsorted(time, press.area_time)
-        sensitivities = followed.sensitivities[at]
+        sensitivities = history.sensitivities[at]
         phi = np.log(np.maximum(force[at], SMALLEST_FORCE))
         found.append(
             _Areas(
                 press.area_time,
                 press.area,
                 press.area_sd,
-                np.maximum(followed.area[at], SMALLEST_MODEL_AREA),
+                np.maximum(history.area[at], SMALLEST_MODEL_AREA),
                 np.column_stack([np.ones(len(at)), phi, sensitivities]),
-                sensitivities @ near.shift,
+                sensitivities @ perturbed.shift,
             )
         )
     return found

@@ -18,7 +18,8 @@
       peak_sd: [0.1, …]   # of the same
 
 gain and slope: of ln A over ln F; stiffness, time, creep: of the material parameters, see
-`estimator.members`. Without this key the sets' covariances and the estimator's settings serve.
+`estimator.sensitivities`. Without this key the sets' covariances and the estimator's settings
+serve.
 """
 
 from __future__ import annotations

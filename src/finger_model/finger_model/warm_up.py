@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .estimator import ContactEstimator, members, stream
+from .estimator import ContactEstimator, sensitivities, stream
 from .followers import Followers
 from .geometry import Geometry
 from .reduced.model import ReducedModel, load_population
@@ -44,7 +44,8 @@ def warm_up(estimator: ContactEstimator) -> None:
     estimator.force_for_area(1e-6)
     estimator.mismatch()
     # Of a calibration, beside which streams go on.
-    members.shift_all(np.zeros(1, members.MEMBERS), np.zeros(members.DIRECTIONS))
+    one = np.zeros(1, sensitivities.SENSITIVITIES)
+    sensitivities.set_shift_1(one, np.zeros(sensitivities.DIRECTIONS))
 
 
 @functools.cache

@@ -9,14 +9,14 @@ With φ = ln(F / 1 N) the error of the model is
     h = (1, φ, s, u · (1, φ, s), 1, φ, β)
 
 gain, slope and w = (stiffness, creep time, creep) belong to the finger and last over contacts; s =
-∂ln A/∂w are sensitivities of the reduced model along the present history (`members`), which runs at
-the shift w₀. moisture is the error of the reading in standard deviations of the population, u what
-it does to the other coordinates. d, e and f belong to the contact (drawn anew at each onset), and d
-drifts within a contact, in the end as far as from one contact to another. The numbers of the finger
-describe presses up to TARGET_FORCE. In a contact that was pressed beyond it, d also walks with φ,
-up and down, as they describe neither the areas there nor those after it that well. The model ends
-at a force limit; φ is held there, and f is the exponent of the area over β = ln(F / limit) beyond
-it, so that areas measured there tell little of the finger.
+∂ln A/∂w are sensitivities of the reduced model along the present history (`sensitivities`), which
+runs at the shift w₀. moisture is the error of the reading in standard deviations of the population,
+u what it does to the other coordinates. d, e and f belong to the contact (drawn anew at each
+onset), and d drifts within a contact, in the end as far as from one contact to another. The numbers
+of the finger describe presses up to TARGET_FORCE. In a contact that was pressed beyond it, d also
+walks with φ, up and down, as they describe neither the areas there nor those after it that well.
+The model ends at a force limit; φ is held there, and f is the exponent of the area over β =
+ln(F / limit) beyond it, so that areas measured there tell little of the finger.
 
 How much contacts of one finger differ is not known beforehand: presses of a simulated finger are
 all alike, real ones scatter by 5 %. So a bank of such filters runs side by side, with SCALES times
@@ -36,7 +36,7 @@ import numpy as np
 
 from ..compiled import njit
 from ..paper import TARGET_FORCE
-from .members import DIRECTIONS
+from .sensitivities import DIRECTIONS
 
 SCALES = (0.1, 0.4, 1.5, 0.1, 0.4, 1.5)
 """Of the deviations of d and e, one for each filter."""

@@ -16,7 +16,7 @@ from finger_common.stamps import nanoseconds
 from ..pose.correction import PoseCorrection
 from ..pose.pose import Pose
 from ..reduced.model import ReducedModel
-from . import area_filter, members, stream
+from . import area_filter, sensitivities, stream
 from .estimate import ESTIMATE_DTYPE
 from .mismatch import Mismatch, mismatch_of
 from .parameter_selection import SelectedParameters
@@ -109,7 +109,7 @@ class FilterState:
         if new:
             stream.new_reading(config, self.state)
         if not len(self.finger):
-            self.constants = np.repeat(self.base, 1 + members.DIRECTIONS)
+            self.constants = np.repeat(self.base, 1 + sensitivities.DIRECTIONS)
             self.finger = self._at_rest()
         if new or self._model_key() != before:
             stream.take_parameters(*self._model_records(), config, self.state, held)
@@ -125,7 +125,7 @@ class FilterState:
         return float(stream.held_area(self.constants, self.finger, self.configuration, self.state))
 
     def _at_rest(self) -> np.ndarray:
-        """States (4,) of the finger and its members at rest."""
+        """States (4,) of the finger and its perturbed copies at rest."""
         return np.concatenate([self.model.state_at_rest(c[None]) for c in self.constants])
 
     def _model_records(
@@ -163,8 +163,8 @@ class FilterState:
         self._stream["pending_flags"] = kept["pending_flags"]
         if keep_stream:
             self._stream[:] = kept
-            self.state["members"]["stamp"] = kept["model_stamp"]
-        self.constants = np.repeat(self.base, 1 + members.DIRECTIONS)
+            self.state["sensitivities"]["stamp"] = kept["model_stamp"]
+        self.constants = np.repeat(self.base, 1 + sensitivities.DIRECTIONS)
         self.finger = self._at_rest()
         self._initialise()
 
@@ -212,7 +212,7 @@ class FilterState:
             constants,
             finger,
             work,
-            np.zeros(1, members.MEMBERS),
+            np.zeros(1, sensitivities.SENSITIVITIES),
             self.configuration,
             state,
             time,

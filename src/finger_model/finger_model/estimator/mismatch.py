@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from . import area_filter, members
+from . import area_filter
+from .sensitivities import DIRECTION_NAMES
 
 TYPICAL_FORCE = 0.5
 """N, at which areas of fingers are compared."""
@@ -64,7 +65,7 @@ def mismatch_of(bank: np.ndarray, noise: np.ndarray) -> Mismatch:
         part = covariance[np.ix_(free, free)]
         square = float(change[free] @ np.linalg.solve(part, change[free]))
     area = change[0] + change[1] * math.log(TYPICAL_FORCE)
-    tissue = dict(zip(members.DIRECTION_NAMES, change[area_filter.TISSUE]))
+    tissue = dict(zip(DIRECTION_NAMES, change[area_filter.TISSUE]))
     return Mismatch(
         float(bank["surprise"]),
         bool(bank["mismatch"]),

@@ -18,8 +18,9 @@ from ..finger_prior import NO_PEAK
 from ..laws import MaxwellLaw
 from ..parameter_sets import InterpolatedParameters, ParameterSets
 from ..reduced.model import ReducedModel
-from . import area_filter, members
-from .neighbourhood import Neighbourhood
+from . import area_filter
+from .perturbed_finger import PerturbedFinger
+from .sensitivities import DIRECTIONS
 from .settings import EstimatorSettings
 
 _TIME = np.concatenate([np.linspace(0.0, 1.0, 21), np.linspace(1.1, 3.0, 20), [3.05, 3.1, 3.15]])
@@ -204,8 +205,8 @@ def _answers(
         own = constants[i : i + 1]
         found = model.follow(own, model.state_at_rest(own), _TIME, _FORCE, before=0.0)
         areas.append(np.log(found[:, 0]))
-    near = Neighbourhood.at(model, base, np.zeros(members.DIRECTIONS))
-    sensitivities = near.follow(0.0, _TIME, _FORCE).sensitivities
+    perturbed = PerturbedFinger.at(model, base, np.zeros(DIRECTIONS))
+    sensitivities = perturbed.run(0.0, _TIME, _FORCE).sensitivities
     h = np.column_stack([np.ones(len(_TIME)), np.log(_FORCE), sensitivities])
     changes = (np.array(areas[1:]) - areas[0]).T / steps
     followed = np.isfinite(changes).all(axis=1)

@@ -26,7 +26,7 @@ from ..finger_prior import PEAK_FORCES
 from ..pose.correction import LARGEST_DEPTH
 from ..reduced import kernels as rk
 from ..sensor_air import SILENCE
-from . import area_filter, members
+from . import area_filter, sensitivities
 
 _names: Any = namedtuple("FLAG", StateFlag.__members__)  # type: ignore[misc]
 FLAG: Any = _names(*map(int, StateFlag))
@@ -127,7 +127,7 @@ MEMORY = np.dtype(
         ("stamp", "i8", (REMEMBERED,)),  # ns
         ("force", "f8", (REMEMBERED,)),  # N
         ("area", "f8", (REMEMBERED,)),  # m², of the model
-        ("sensitivity", "f8", (REMEMBERED, members.DIRECTIONS)),  # of ln area
+        ("sensitivity", "f8", (REMEMBERED, sensitivities.DIRECTIONS)),  # of ln area
     ]
 )
 """Ring of past samples."""
@@ -140,7 +140,7 @@ STATE = np.dtype(
         ("filters", area_filter.FILTER_BANK),
         ("before", area_filter.FILTER_BANK),  # at the onset of the present contact, or later: what
         # is known of the finger if the rest of the contact tells nothing
-        ("members", members.MEMBERS),
+        ("sensitivities", sensitivities.SENSITIVITIES),
         ("memory", MEMORY),
     ],
     align=True,
@@ -283,7 +283,7 @@ def _remember(memory, stamp, force, area, sensitivity):
     memory.stamp[at] = stamp
     memory.force[at] = force
     memory.area[at] = area
-    for j in range(members.DIRECTIONS):
+    for j in range(sensitivities.DIRECTIONS):
         memory.sensitivity[at, j] = sensitivity[j]
     memory.next += 1
 
@@ -302,14 +302,14 @@ def _recall(memory, stamp, sensitivity):
         return math.nan, math.nan
     at = (memory.next - 1 - back) % REMEMBERED
     force, area = memory.force[at], memory.area[at]
-    for j in range(members.DIRECTIONS):
+    for j in range(sensitivities.DIRECTIONS):
         sensitivity[j] = memory.sensitivity[at, j]
     if back > 0 and memory.stamp[at] < stamp:
         after = (at + 1) % REMEMBERED
         weight = (stamp - memory.stamp[at]) / (memory.stamp[after] - memory.stamp[at])
         force += weight * (memory.force[after] - force)
         area += weight * (memory.area[after] - area)
-        for j in range(members.DIRECTIONS):
+        for j in range(sensitivities.DIRECTIONS):
             sensitivity[j] += weight * (memory.sensitivity[after, j] - sensitivity[j])
     return force, area
 
@@ -318,8 +318,8 @@ def _recall(memory, stamp, sensitivity):
 def _offset(state, sensitivity):
     """s w₀: what the shift of the model has already taken of its error."""
     total = 0.0
-    for j in range(members.DIRECTIONS):
-        total += sensitivity[j] * state.members.shift[j]
+    for j in range(sensitivities.DIRECTIONS):
+        total += sensitivity[j] * state.sensitivities.shift[j]
     return total
 
 
@@ -334,7 +334,7 @@ def _fuse(config, state, stamp, area, sd, limit):
         return False
     if not contact.touching and stamp > contact.liftoff:
         return False
-    sensitivity = np.zeros(members.DIRECTIONS)
+    sensitivity = np.zeros(sensitivities.DIRECTIONS)
     force, model_area = _recall(state.memory, stamp, sensitivity)
     if not model_area >= SMALLEST_AREA:
         return False
@@ -370,15 +370,15 @@ def _fuse(config, state, stamp, area, sd, limit):
 
 @njit(cache=True)
 def _place(net, base, par, finger, work, state):
-    """Constants of the finger and its members from `base`."""
+    """Constants of the finger and its perturbed copies from `base`."""
     if state.contact.outdated:
         state.contact.outdated = False
-        for j in range(1 + members.DIRECTIONS):
+        for j in range(1 + sensitivities.DIRECTIONS):
             # The states are of these.
             before = par[j].fraction.copy()
             par[j] = base[0]
             par[j].fraction[:] = before
-    members.place(net, base, par, finger, work, state.members)
+    sensitivities.set_constants(net, base, par, finger, work, state.sensitivities)
 
 
 @njit(cache=True)
@@ -398,34 +398,38 @@ def _see_noise(stream, stamp, normal, a, b):
 @njit(cache=True)
 def _advance_model(net, base, par, finger, work, config, state, stamp, normal_force):
     """Reduced model to a valid sample; the contact and the remembered samples follow."""
-    stream, near = state.stream, state.members
+    stream = state.stream
     dt = 0.0
     if stream.started:
         dt = (stamp - stream.model_stamp) * 1e-9
     else:
-        near.stamp[:] = stamp - 1
+        state.sensitivities.stamp[:] = stamp - 1
     stream.model_stamp = stamp
     stream.started = True
     rk.step(net, par, finger, work, dt, normal_force)
     lost = finger[0].failed != 0 or not math.isfinite(finger[0].indentation)
     if normal_force < config.liftoff_force and lost:
         # A model that could not follow a contact starts again from rest in the air.
-        members.rest(net, par, finger, work)
-        near.stamp[:] = stamp
+        sensitivities.reset(net, par, finger, work)
+        state.sensitivities.stamp[:] = stamp
     begins = _follow_contact(config, state, normal_force, stamp, dt > SILENCE)
     if begins:
         # What the last contacts told of the finger moves the model itself, so that sensitivities
         # are those of this finger.
-        members.advance(net, par, finger, work, near, stamp, normal_force, True)
-        members.shift_to(near, state.filters.start[area_filter.TISSUE])
+        sensitivities.advance_perturbed(
+            net, par, finger, work, state.sensitivities, stamp, normal_force, True
+        )
+        sensitivities.set_shift(state.sensitivities, state.filters.start[area_filter.TISSUE])
         _place(net, base, par, finger, work, state)
-        members.renew(net, par, finger, work, near, normal_force)
+        sensitivities.evaluate(net, par, finger, work, state.sensitivities, normal_force)
     else:
-        members.advance(net, par, finger, work, near, stamp, normal_force, False)
+        sensitivities.advance_perturbed(
+            net, par, finger, work, state.sensitivities, stamp, normal_force, False
+        )
     area_filter.follow_load(state.filters, min(normal_force, _limit(par[0], finger[0])))
     _follow_limit(state, _is_beyond(par[0], finger[0], normal_force), stamp)
     gain, _ = _pose_gain(config, finger[0].area)
-    _remember(state.memory, stamp, normal_force, gain * finger[0].area, near.area)
+    _remember(state.memory, stamp, normal_force, gain * finger[0].area, state.sensitivities.area)
 
 
 @njit(cache=True)
@@ -438,10 +442,10 @@ def _write_contact(config, state, finger, normal_force, limit, stamp, row):
     row.indentation_stddev = INDENTATION_DEVIATION * abs(finger.indentation)
     if not state.contact.touching or not finger.area > 0.0:
         return
-    noise, filters, near = config.noise, state.filters, state.members
+    noise, filters = config.noise, state.filters
     h = np.empty(area_filter.STATES)
-    area_filter.regressors(noise, normal_force, limit, near.area, 1.0, h)
-    offset = _offset(state, near.area)
+    area_filter.regressors(noise, normal_force, limit, state.sensitivities.area, 1.0, h)
+    offset = _offset(state, state.sensitivities.area)
     error, variance = area_filter.estimate(filters, noise, h, offset, stamp, True)
     own_gain, slope = _pose_gain(config, finger.area)
     area = finger.area * own_gain * math.exp(error)
@@ -467,8 +471,8 @@ def _write_contact(config, state, finger, normal_force, limit, stamp, row):
     # Gains and the contact's own error: half in length (see GAIN_OF_INDENTATION), and that half
     # uncertain.
     gain = area_filter.GAIN_OF_INDENTATION
-    area_filter.regressors(noise, normal_force, limit, near.indentation, gain, h)
-    offset = _offset(state, near.indentation)
+    area_filter.regressors(noise, normal_force, limit, state.sensitivities.indentation, gain, h)
+    offset = _offset(state, state.sensitivities.indentation)
     deeper, spread = area_filter.estimate(filters, noise, h, offset, stamp, False)
     h[area_filter.TISSUE] = h[area_filter.MOISTURE] = 0.0
     shared, _ = area_filter.estimate(filters, noise, h, 0.0, stamp, False)
@@ -527,9 +531,9 @@ def process(net, base, par, finger, work, configuration, states, stamps, forces,
     """Process wrench samples of increasing stamps, and the measured areas that come due.
 
     net, base (1,), par (4,), finger (4,), work: records of the reduced model, par and finger those
-    of `members`; configuration (1,), states (1,): CONFIGURATION, STATE; stamps (n,), forces (n, 3):
-    ns, N; areas (k,): AREA in the order of their stamps, all due by the last sample. Fills rows
-    (n,) of ESTIMATE_DTYPE but for `parameter_set`.
+    of `sensitivities`; configuration (1,), states (1,): CONFIGURATION, STATE; stamps (n,), forces
+    (n, 3): ns, N; areas (k,): AREA in the order of their stamps, all due by the last sample. Fills
+    rows (n,) of ESTIMATE_DTYPE but for `parameter_set`.
     """
     config, state = configuration[0], states[0]
     stream = state.stream
@@ -590,12 +594,12 @@ def process(net, base, par, finger, work, configuration, states, stamps, forces,
 
 @njit(cache=True)
 def initialise_filters(net, base, par, finger, work, configuration, states):
-    """Filters and members as for a finger not seen before, with no area fused."""
+    """Filters and model as for a finger not seen before, with no area fused."""
     config, state = configuration[0], states[0]
     for bank in (state.filters, state.before):
         area_filter.initialise(bank, config.noise, config.moisture_stamp)
     state.contact.has_fused = False
-    members.shift_to(state.members, state.filters.start[area_filter.TISSUE])
+    sensitivities.set_shift(state.sensitivities, state.filters.start[area_filter.TISSUE])
     _place(net, base, par, finger, work, state)
 
 
@@ -611,8 +615,8 @@ def new_reading(configuration, states):
 def _fused_error(config, state, finger, limit, bounded):
     """Logarithm of the fused area over the model's now, `limit` (N) of whose force is `finger`."""
     h = np.empty(area_filter.STATES)
-    area_filter.regressors(config.noise, finger.force, limit, state.members.area, 1.0, h)
-    offset = _offset(state, state.members.area)
+    area_filter.regressors(config.noise, finger.force, limit, state.sensitivities.area, 1.0, h)
+    offset = _offset(state, state.sensitivities.area)
     stamp = state.stream.model_stamp
     return area_filter.estimate(state.filters, config.noise, h, offset, stamp, bounded)[0]
 
@@ -653,38 +657,39 @@ def take_parameters(net, base, par, finger, work, configuration, states, held):
 
 @njit(cache=True)
 def begin_contact(net, base, par, finger, work, configuration, states):
-    """Filters and members as at an onset now; all of these are copies of a finger in the air."""
+    """Filters and model as at an onset now; all of these records are copies, of a finger in the
+    air."""
     config, state = configuration[0], states[0]
     area_filter.begin_contact(state.filters, config.noise, state.stream.last_stamp)
-    members.shift_to(state.members, state.filters.start[area_filter.TISSUE])
+    sensitivities.set_shift(state.sensitivities, state.filters.start[area_filter.TISSUE])
     _place(net, base, par, finger, work, state)
 
 
 @njit(cache=True)
-def predicted(net, par, finger, work, near, configuration, states, time, force, table):
+def predicted(net, par, finger, work, scratch, configuration, states, time, force, table):
     """Fused area (m²), indentation (m) and peak pressure (Pa) (n, 3) under a future force.
 
-    finger (4,) goes along, near (1,) MEMBERS is scratch; time (n,) in s from now, force (n,) in N.
-    NaN from the first row on that the model cannot follow.
+    finger (4,) goes along, scratch (1,) is of SENSITIVITIES; time (n,) in s from now, force (n,) in
+    N. NaN from the first row on that the model cannot follow.
     """
     config, state = configuration[0], states[0]
     filters, noise = state.filters, config.noise
-    found = np.empty((len(time), 3 + 2 * members.DIRECTIONS))
-    first = members.follow(net, par, finger, work, near, 0.0, time, force, found)
+    found = np.empty((len(time), 3 + 2 * sensitivities.DIRECTIONS))
+    first = sensitivities.simulate(net, par, finger, work, scratch, 0.0, time, force, found)
     found[first:, :3] = math.nan
     h = np.empty(area_filter.STATES)
     gain, limit = area_filter.GAIN_OF_INDENTATION, par[0].force_limit
     for i in range(len(time)):
         table[i] = found[i, :3]
         if found[i, 0] > 0.0:
-            sensitivity = found[i, 3 : 3 + members.DIRECTIONS]
+            sensitivity = found[i, 3 : 3 + sensitivities.DIRECTIONS]
             area_filter.regressors(noise, force[i], limit, sensitivity, 1.0, h)
             offset = _offset(state, sensitivity)
             error, _ = area_filter.estimate(filters, noise, h, offset, filters.stamp, True)
             own_gain, _ = _pose_gain(config, found[i, 0])
             table[i, 0] *= own_gain * math.exp(error)
             table[i, 2] *= math.exp(_peak_of(config, force[i])[0] - error) / own_gain
-            sensitivity = found[i, 3 + members.DIRECTIONS :]
+            sensitivity = found[i, 3 + sensitivities.DIRECTIONS :]
             area_filter.regressors(noise, force[i], limit, sensitivity, gain, h)
             offset = _offset(state, sensitivity)
             deeper, _ = area_filter.estimate(filters, noise, h, offset, filters.stamp, False)

@@ -1,19 +1,20 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Compiled: the reduced model at neighbouring fingers, whose differences are sensitivities.
+"""Compiled: sensitivities of the reduced model to its finger, by finite differences.
 
-Beside the finger that the estimator believes in runs one member for each direction
+Beside the model of the finger that the estimator believes in runs one perturbed copy for each
+direction
 
     stiffness   all moduli
     time        all relaxation times
     creep       what relaxes over what does not, (G0 − G∞)/G∞, at the same long-term modulus,
                 creep times and E2/E0
 
-of the tissue, in logarithms. A member is a set of constants of the same kernels: the networks see
-E2/E0 alone, so that none of the directions needs them to be prepared again. Members take turns, one
-per sample at 500 Hz: a sensitivity changes slowly, and each of its terms is as old for the member
-as for the finger.
+of the tissue, in logarithms. A copy is a set of constants of the same kernels: the networks see
+E2/E0 alone, so that none of the directions needs them to be prepared again. Copies take turns, one
+per sample at 500 Hz: a sensitivity changes slowly, and each of its terms is as old for the copy as
+for the finger.
 """
 
 from __future__ import annotations
@@ -27,19 +28,19 @@ from ..reduced import kernels as rk
 
 DIRECTION_NAMES = ("stiffness", "time", "creep")
 DIRECTIONS = len(DIRECTION_NAMES)
-STEPS = (0.25, 0.5, -0.3)
-"""Of the members along their directions. Creep steps down: soft skin lies at the range's end."""
-LIMITS = (1.2, 2.0, 1.2)
+PERTURBATIONS = (0.25, 0.5, -0.3)
+"""Of the copies along their directions. Creep steps down: soft skin lies at the range's end."""
+SHIFT_LIMITS = (1.2, 2.0, 1.2)
 """Largest shift along each direction."""
 MOST_CREEP = 11.0
 """Largest (G0 − G∞)/G∞ that models are made for."""
 
-LAG = 5_000_000
-"""ns by which a member may be behind before it is advanced beside another one."""
+MAX_LAG_NS = 5_000_000
+"""ns by which a copy may be behind before it is advanced beside another one."""
 
-MEMBERS = np.dtype(
+SENSITIVITIES = np.dtype(
     [
-        ("stamp", "i8", (DIRECTIONS,)),  # ns, of each member
+        ("stamp", "i8", (DIRECTIONS,)),  # ns, of each copy
         ("shift", "f8", (DIRECTIONS,)),  # w₀ of the finger itself
         ("area", "f8", (DIRECTIONS,)),  # ∂ln A/∂w
         ("indentation", "f8", (DIRECTIONS,)),  # ∂ln δ/∂w
@@ -66,8 +67,8 @@ def _deform(base, par, shift):
 
 
 @njit(cache=True)
-def place(net, base, par, finger, work, members):
-    """Constants par (4,) of the finger and its members for members.shift, from those of `base`.
+def set_constants(net, base, par, finger, work, sensitivities):
+    """Constants par (4,) of the finger and its copies at sensitivities.shift, from those of `base`.
 
     par holds copies of `base`, or what was placed before, whose fractions the states finger (4,)
     are of: the strain of each branch stays.
@@ -75,7 +76,7 @@ def place(net, base, par, finger, work, members):
     shift = np.empty(DIRECTIONS)
     for j in range(1 + DIRECTIONS):
         for i in range(DIRECTIONS):
-            shift[i] = members.shift[i] + (STEPS[i] if j == 1 + i else 0.0)
+            shift[i] = sensitivities.shift[i] + (PERTURBATIONS[i] if j == 1 + i else 0.0)
         one = slice(j, j + 1)
         before = par[j].fraction.copy()
         _deform(base[0], par[j], shift)
@@ -84,77 +85,80 @@ def place(net, base, par, finger, work, members):
 
 
 @njit(cache=True)
-def place_all(net, base, par, finger, work, members):
-    """As `place`, with members an array of one record."""
-    place(net, base, par, finger, work, members[0])
+def set_constants_1(net, base, par, finger, work, sensitivities):
+    """As `set_constants`, with sensitivities an array of one record."""
+    set_constants(net, base, par, finger, work, sensitivities[0])
 
 
 @njit(cache=True)
-def shift_all(members, mean):
-    """As `shift_to`, with members an array of one record."""
-    shift_to(members[0], mean)
+def set_shift_1(sensitivities, mean):
+    """As `set_shift`, with sensitivities an array of one record."""
+    set_shift(sensitivities[0], mean)
 
 
 @njit(cache=True)
-def shift_to(members, mean):
+def set_shift(sensitivities, mean):
     """Set the shift to w (3,), within its limits."""
     for i in range(DIRECTIONS):
-        members.shift[i] = min(max(mean[i], -LIMITS[i]), LIMITS[i])
+        sensitivities.shift[i] = min(max(mean[i], -SHIFT_LIMITS[i]), SHIFT_LIMITS[i])
 
 
 @njit(cache=True)
-def differ(finger, members, j):
+def update_sensitivity(finger, sensitivities, j):
     """Sensitivities of direction j from the present states, if both could be followed to here."""
     here, there = finger[0], finger[1 + j]
     if here.failed or there.failed:
         return
     if here.area > 0.0 and there.area > 0.0:
-        members.area[j] = math.log(there.area / here.area) / STEPS[j]
+        sensitivities.area[j] = math.log(there.area / here.area) / PERTURBATIONS[j]
     if here.indentation > 0.0 and there.indentation > 0.0:
-        members.indentation[j] = math.log(there.indentation / here.indentation) / STEPS[j]
+        sensitivities.indentation[j] = (
+            math.log(there.indentation / here.indentation) / PERTURBATIONS[j]
+        )
 
 
 @njit(cache=True)
-def advance(net, par, finger, work, members, stamp, force, every):
-    """Bring the member that is behind most to `stamp`, and others behind by LAG; or `every` one."""
+def advance_perturbed(net, par, finger, work, sensitivities, stamp, force, every):
+    """Bring the copy most behind to `stamp`, and others behind by MAX_LAG_NS, or `every` one."""
     for turn in range(DIRECTIONS):
         oldest = 0
         for j in range(1, DIRECTIONS):
-            if members.stamp[j] < members.stamp[oldest]:
+            if sensitivities.stamp[j] < sensitivities.stamp[oldest]:
                 oldest = j
-        behind = stamp - members.stamp[oldest]
-        if behind <= 0 or (turn > 0 and behind <= LAG and not every):
+        behind = stamp - sensitivities.stamp[oldest]
+        if behind <= 0 or (turn > 0 and behind <= MAX_LAG_NS and not every):
             break
         j = oldest
         one = slice(1 + j, 2 + j)
         rk.step_without_slope(net, par[one], finger[one], work, behind * 1e-9, force)
-        members.stamp[j] = stamp
-        differ(finger, members, j)
+        sensitivities.stamp[j] = stamp
+        update_sensitivity(finger, sensitivities, j)
 
 
 @njit(cache=True)
-def renew(net, par, finger, work, members, force):
-    """Outputs and sensitivities at `force` (N) after `place`; no time passes."""
+def evaluate(net, par, finger, work, sensitivities, force):
+    """Outputs and sensitivities at `force` (N) after `set_constants`; no time passes."""
     for j in range(1 + DIRECTIONS):
         one = slice(j, j + 1)
         rk.step(net, par[one], finger[one], work, 0.0, force)
     for j in range(DIRECTIONS):
-        differ(finger, members, j)
+        update_sensitivity(finger, sensitivities, j)
 
 
 @njit(cache=True)
-def rest(net, par, finger, work):
-    """Put the finger and its members at rest."""
+def reset(net, par, finger, work):
+    """Put the finger and its copies at rest."""
     for j in range(1 + DIRECTIONS):
         rk.rest(net, par[j : j + 1], finger[j : j + 1], work)
 
 
 @njit(cache=True, nogil=True)
-def follow(net, par, finger, work, members, before, time, force, table):
+def simulate(net, par, finger, work, sensitivities, before, time, force, table):
     """Area (m²), indentation (m), peak pressure (Pa) and both sensitivities (n, 9) along a future.
 
-    All members go along with the finger from `before` (s); time (n,) in s, force (n,) in N;
-    members (1,): scratch. Returns the first row that the finger could not follow, n without one.
+    All copies go along with the finger from `before` (s); time (n,) in s, force (n,) in N;
+    sensitivities (1,): scratch. Returns the first row that the finger could not follow, n without
+    one.
     """
     first = len(time)
     for i in range(len(time)):
@@ -168,7 +172,7 @@ def follow(net, par, finger, work, members, before, time, force, table):
         table[i, 1] = finger[0].indentation
         table[i, 2] = finger[0].peak_pressure
         for j in range(DIRECTIONS):
-            differ(finger, members[0], j)
-            table[i, 3 + j] = members[0].area[j]
-            table[i, 3 + DIRECTIONS + j] = members[0].indentation[j]
+            update_sensitivity(finger, sensitivities[0], j)
+            table[i, 3 + j] = sensitivities[0].area[j]
+            table[i, 3 + DIRECTIONS + j] = sensitivities[0].indentation[j]
     return first
