@@ -26,7 +26,7 @@ MEASURED = np.dtype(
         ("stamp", "i8"),  # ns, of the newest sample that was measured anew
     ]
 )
-"""What tells a sample that is repeated."""
+"""State that detects repeated samples."""
 
 
 @njit(cache=True)
@@ -54,8 +54,10 @@ def roughness(force, last, before):
 
 @njit(cache=True)
 def no_knock(rough, variance, least):
-    """`rough` (N²) as far as it is noise: a sample far beyond the others, of which the variance was
-    found so far, is a knock. least: N², below which no noise is."""
+    """Clip the squared second difference `rough` (N²), so that a knock does not count as noise.
+
+    variance: noise found so far (N²); least: least noise of a sensor (N²).
+    """
     return min(rough, 16.0 * max(variance, least))
 
 
