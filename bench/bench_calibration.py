@@ -27,7 +27,7 @@ def presses_of(index: int) -> list[CalibrationPress]:
     for guided in CALIBRATION_PRESSES:
         plan = plan_press(rng, style=guided_style(guided), target_force=guided.target_force)
         time_s = at + plan.time
-        table = model.follow(constants, state, time_s, plan.force, before)
+        table = model.run(constants, state, time_s, plan.force, before)
         before, at = time_s[-1], time_s[-1] + 2.0
         frames = np.arange(time_s[0], time_s[-1], 0.1)
         area = np.interp(frames, time_s, table[:, 0])

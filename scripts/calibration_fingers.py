@@ -73,7 +73,7 @@ def pressed(
     for press in plan:
         planned = plan_press(rng, style=guided_style(press), target_force=press.target_force)
         time, force = at + planned.time, planned.force
-        area = model.follow(constants, state, time[::5], force[::5], before)[:, 0]
+        area = model.run(constants, state, time[::5], force[::5], before)[:, 0]
         factors.append(people.press_gain * rng.normal())
         area *= np.exp(factors[-1])
         before, at = time[::5][-1], time[-1] + 2.0
@@ -87,7 +87,7 @@ def pressed(
         since, force = force_of(rng, kind)
         time = at + since
         gain = float(np.exp(people.press_gain * rng.normal()))
-        area = gain * model.follow(constants, state, time, force, before)[:, 0]
+        area = gain * model.run(constants, state, time, force, before)[:, 0]
         before, at = time[-1], time[-1] + 2.0
         after.append((time, force, area, gain))
     width, depth = (

@@ -160,7 +160,7 @@ def session_of(seed: int, index: int, full_order: bool = False, wide: bool = Fal
         constants = model.constants(person.material)
         state, tables, before = model.state_at_rest(constants), [], 0.0
         for time, force in zip(times, forces):
-            tables.append(model.follow(constants, state, time, force, before)[:, [0, 2]])
+            tables.append(model.run(constants, state, time, force, before)[:, [0, 2]])
             before = time[-1]
     presses = [
         Press(k, t, f, g * a[:, 0], float(g), a[:, 1] / g)

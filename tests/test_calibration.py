@@ -62,7 +62,7 @@ def pressed(index: int, seed: int = 11) -> Finger:
     for guided in CALIBRATION_PRESSES * 2:
         plan = plan_press(rng, style=guided_style(guided), target_force=guided.target_force)
         time = at + plan.time
-        table = model.follow(constants, state, time[::5], plan.force[::5], before)
+        table = model.run(constants, state, time[::5], plan.force[::5], before)
         before, at = time[::5][-1], time[-1] + 2.0
         area = np.interp(time, time[::5], table[:, 0])
         area *= np.exp(people.press_gain * rng.normal())

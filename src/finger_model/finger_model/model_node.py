@@ -64,7 +64,6 @@ from .estimator.estimator import FUTURE
 from .estimator.events import ANOTHER_SUBJECT
 from .estimator.parameter_selection import check_sets
 from .finger import load_reduced, model_for
-from .followers import Followers, prepare
 from .latency import LatencyHistogram
 from .lateness import Lateness
 from .messages import (
@@ -86,6 +85,7 @@ from .reduced.model import POPULATION, ReducedModel
 from .shape.estimate import MeasuredOutline
 from .shape.settings import PoseSettings
 from .slip import SlipSettings
+from .slip_and_shape import SlipAndShape, prepare
 from .subject_calibration import fit_subject
 from .subjects import find_subject
 from .warm_up import is_compiled, warm_up, warm_up_all
@@ -187,7 +187,7 @@ and with real-time priority their threads would keep all cores from the samples.
 class _Run:
     """The estimator with what follows it, and what the node has seen since it was activated."""
 
-    followers: Followers
+    slip_and_shape: SlipAndShape
     reason: str = "start"
     first_stamp: int | None = None
     """Of the first sample, before which the start is not told; None until it comes."""
@@ -209,12 +209,12 @@ class _Run:
     @property
     def estimator(self) -> ContactEstimator:
         """The estimator in use."""
-        return self.followers.estimator
+        return self.slip_and_shape.estimator
 
     def begin_anew(self, estimator: ContactEstimator, reason: str) -> None:
         """Go on with another estimator from the next sample on."""
-        self.followers.estimator = estimator
-        self.followers.keep_up()
+        self.slip_and_shape.estimator = estimator
+        self.slip_and_shape.keep_up()
         self.reason, self.first_stamp, self.pause = reason, None, None
 
 
@@ -367,7 +367,7 @@ class ModelNode(ManagedNode):
             if changed:
                 reason = f"parameter {', '.join(changed)} set"
                 self._publish_event(run.estimator.change_settings(settings, reason))
-            run.followers.configure(slip, pose if merged["contact_shape"] else None)
+            run.slip_and_shape.configure(slip, pose if merged["contact_shape"] else None)
             if sets is not None:
                 self._sets = sets
                 reason = f"parameter file {changes['parameter_file'] or 'unset, shipped sets'}"
@@ -424,7 +424,7 @@ class ModelNode(ManagedNode):
 
     def _new_run(self, sets: ParameterSets) -> _Run:
         pose = self.settings(PoseSettings) if self.values["contact_shape"] else None
-        return _Run(Followers(self._new_estimator(sets), self.settings(SlipSettings), pose))
+        return _Run(SlipAndShape(self._new_estimator(sets), self.settings(SlipSettings), pose))
 
     @property
     def _running(self) -> _Run | None:
@@ -525,9 +525,9 @@ class ModelNode(ManagedNode):
             if run is None:
                 return
             for estimate, sample in left:
-                slip, shape = run.followers.follow(estimate, *sample)
+                slip, shape = run.slip_and_shape.process(estimate, *sample)
                 if slip is not None and self._slip_listeners.present():
-                    numbers = slip_numbers(slip, run.followers.lateral_axes)
+                    numbers = slip_numbers(slip, run.slip_and_shape.lateral_axes)
                     self._slip_publisher.publish(self._pack_slip((frame,), numbers))
                 if shape is not None:
                     plate = plate_frame(run.plate, frame)
@@ -550,7 +550,7 @@ class ModelNode(ManagedNode):
             if used:
                 outline = outline_of(message)
                 self._check_outline(outline)
-                run.followers.see_area(area[0], stick_of(message), outline)
+                run.slip_and_shape.see_area(area[0], stick_of(message), outline)
             elif silent and 0.0 < -self._behind(run, area[0]) < self._silence(run) + FUTURE:
                 # One event for all of a pause, when it ends; not with a stamp of another time.
                 ends = area[0], *(run.pause or ())
@@ -665,7 +665,7 @@ class ModelNode(ManagedNode):
                 self._publish_event(run.estimator.change_parameters(sets, reason))
             if forget:
                 self._publish_event(run.estimator.reset(reason))
-            run.followers.keep_up()
+            run.slip_and_shape.keep_up()
         # Samples go on meanwhile; a reading that comes before the end has to wait for its own part.
         self._aside(prepare, model, sets)
 

@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 
 from .estimator import ContactEstimator, sensitivities, stream
-from .followers import Followers
 from .geometry import Geometry
 from .reduced.model import ReducedModel, load_population
 from .shape.estimate import NO_OUTLINE
 from .shape.settings import PoseSettings
 from .slip import SlipSettings
+from .slip_and_shape import SlipAndShape
 
 
 def is_compiled() -> bool:
@@ -32,14 +32,14 @@ def is_compiled() -> bool:
 
 def warm_up(estimator: ContactEstimator) -> None:
     """Run everything that streams, services and changes use once; spoils the estimator's state."""
-    followers = Followers(estimator, SlipSettings(), PoseSettings())
-    followers.see_area(0, (0.5, 0.1), NO_OUTLINE)
+    slip_and_shape = SlipAndShape(estimator, SlipSettings(), PoseSettings())
+    slip_and_shape.see_area(0, (0.5, 0.1), NO_OUTLINE)
     estimator.reset()
     for stamp_ns in range(1, 3):
         for estimate in estimator.add_wrench(stamp_ns * 10**9, (0.0, 0.0, 0.0)):
-            followers.follow(estimate, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+            slip_and_shape.process(estimate, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     estimator.change_surface()
-    followers.keep_up()
+    slip_and_shape.keep_up()
     estimator.predict(np.array([0.1]), np.array([0.01]))
     estimator.force_for_area(1e-6)
     estimator.mismatch()

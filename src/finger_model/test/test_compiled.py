@@ -230,7 +230,7 @@ from numba.core.registry import CPUDispatcher
 
 from finger_model.calibration import CalibrationPress, calibrate
 from finger_model.estimator import ContactEstimator, EstimatorSettings
-from finger_model.followers import Followers, prepare
+from finger_model.slip_and_shape import SlipAndShape, prepare
 from finger_model.geometry import Geometry
 from finger_model.parameter_sets import ParameterSets
 from finger_model.shape.estimate import MeasuredOutline
@@ -248,7 +248,7 @@ def compiled():
 
 def use(model):
     estimator = ContactEstimator(model)
-    followers = Followers(estimator, SlipSettings(), PoseSettings())
+    slip_and_shape = SlipAndShape(estimator, SlipSettings(), PoseSettings())
     sets = ParameterSets.default()
     outline = MeasuredOutline((0.0, 0.0), 9e-3, 8e-3, 0.0, 1e-4, 1e-4, 1e-4)
     prepare(model, sets)
@@ -260,10 +260,10 @@ def use(model):
             now += 2_000_000
             force = 0.1, 0.0, -normal
             for estimate in estimator.add_wrench(now, force):
-                followers.follow(estimate, force, (0.0, 0.0, 1e-3))
+                slip_and_shape.process(estimate, force, (0.0, 0.0, 1e-3))
             if number % 20 == 0:
                 estimator.add_area(now - 10_000_000, 60e-6, 3e-6)
-                followers.see_area(now - 10_000_000, (0.8, 0.1), outline)
+                slip_and_shape.see_area(now - 10_000_000, (0.8, 0.1), outline)
         estimator.predict(np.array([0.1, 0.2]), np.array([0.5, 0.6]))
         estimator.force_for_area(20e-6, 0.5)
         estimator.mismatch()
@@ -282,7 +282,7 @@ def use(model):
         lambda: estimator.clock_jump_event(now + 1),
     ):
         change()
-        followers.keep_up()
+        slip_and_shape.keep_up()
         press(1.0)
     time = np.arange(0.0, 2.0, 0.02)
     force = np.clip(2.0 * np.sin(2.0 * time), 0.0, 1.0)

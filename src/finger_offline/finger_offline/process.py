@@ -38,7 +38,6 @@ from finger_model.estimator import (
 )
 from finger_model.estimator.estimate import ESTIMATE_DTYPE
 from finger_model.finger import load_for
-from finger_model.followers import Followers
 from finger_model.messages import (
     NOT_WHOLE,
     PLATE,
@@ -54,6 +53,7 @@ from finger_model.reduced.model import load_population
 from finger_model.shape.estimate import NO_OUTLINE, MeasuredOutline, ShapeEstimate
 from finger_model.shape.settings import PoseSettings
 from finger_model.slip import SlipSettings
+from finger_model.slip_and_shape import SlipAndShape
 from finger_vision.area_sensor import ContactMeasurement
 from finger_vision.camera_stream import LeftOut
 
@@ -233,7 +233,7 @@ class _Run:
         self.estimator, self.images, self.output, self.sinks = estimator, images, output, sinks
         self.events = events
         written = output is not None
-        self.followers = Followers(
+        self.slip_and_shape = SlipAndShape(
             estimator,
             SlipSettings() if written and options.slip else None,
             PoseSettings.from_mapping(options.pose) if written and options.shape else None,
@@ -386,7 +386,7 @@ class _Run:
             return
         self.estimator.expect_late([event])
         if event.is_pause:
-            self.followers.leave_out(*event.late_areas)
+            self.slip_and_shape.leave_out(*event.late_areas)
         self.estimator.apply_event(event)
         self.started = True
         if self.output is not None and self.rewrites_events:
@@ -434,7 +434,7 @@ class _Run:
                 used = self.estimator.add_area(*values)
                 seen = self.seen.pop(values[0], None)
                 if used and seen is not None:
-                    self.followers.see_area(values[0], *seen)
+                    self.slip_and_shape.see_area(values[0], *seen)
         for items in self.queue.wrenches_due(now_ns):
             self._estimate(items)
 
@@ -459,10 +459,12 @@ class _Run:
         for first, part in self.estimator.wrench_parts(found.stamp_ns, found.force):
             own = slice(first + 1, first + 1 + len(part))
             log = given.log_ns[own].tolist()
-            slip, shape = self.followers.follow_block(part, given.force[own], given.torque[own])
+            slip, shape = self.slip_and_shape.process_block(
+                part, given.force[own], given.torque[own]
+            )
             rows.append(part.rows)
             logs += log
-            slips += serialize_slips(slip, self.followers.lateral_axes, frame)
+            slips += serialize_slips(slip, self.slip_and_shape.lateral_axes, frame)
             shapes += [(log[number], estimate) for number, estimate in shape]
         block = EstimateBlock(np.concatenate(rows))
         self.validity.add(block, found.force, self.estimator.settings.normal_axis)

@@ -71,7 +71,7 @@ MOST_BEYOND = math.log(2.0)
 GAIN_OF_INDENTATION = 0.5
 """ln δ answers to gains of the area by this: a larger finger has A ∝ L², δ ∝ L."""
 
-HULL = 3.0
+BOUND_SD = 3.0
 """Standard deviations of the newest area by which an estimate may leave the span of prediction
 and measurement."""
 
@@ -88,15 +88,15 @@ FILTER_BANK = np.dtype(
         ("start", "f8", (STATES,)),  # mixture's mean at the onset: the prediction
         ("measured", "?"),  # an area was fused in this contact
         ("newest", "f8"),  # ln of the newest fused area over the model's
-        ("tolerance", "f8"),  # HULL deviations of it
+        ("tolerance", "f8"),  # BOUND_SD deviations of it
         ("stamp", "i8"),  # ns, time of mean and covariance
         ("phi", "f8"),  # at that time; before an area of the contact, that of TARGET_FORCE
         ("load", "f8"),  # ln of the contact's largest force over TARGET_FORCE, 0 below
         ("moisture_stamp", "i8"),  # ns, until which the reading of the moisture has aged
         ("outliers", "i8"),  # in a row
         ("areas", "i8"),  # of this finger that were compared so far
-        ("surprise", "f8"),  # running mean of squared normalised innovations, 1 when consistent
-        ("mismatch", "?"),  # surprise is, or recently was, too large
+        ("mean_nis", "f8"),  # running mean of squared normalised innovations, 1 when consistent
+        ("mismatch", "?"),  # mean_nis is, or recently was, too large
     ],
     align=True,
 )
@@ -121,18 +121,18 @@ FILTER_NOISE = np.dtype(
 )
 """Variances that the filters assume."""
 
-SURPRISE_MEMORY, EXPECTED = 0.85, 2
-"""Share of the running mean of squared innovations kept from one area to the next, but of the first
-areas of a finger the plain mean with so many that were as expected: the filters soon follow what
-the model does not know, and only the first ones show it."""
+NIS_MEMORY, NIS_PRIOR_COUNT = 0.85, 2
+"""Share of the running mean of the normalised innovation squared (NIS) kept from one area to the
+next, but of the first areas of a finger the plain mean with so many that were as expected: the
+filters soon adapt to what the model does not know, and only the first ones show it."""
 MISMATCH, MATCH = 3.0, 2.0
 """The model is another finger's from the first on, and this one's again below the second."""
-MOST_SURPRISE = 25.0
+MOST_NIS = 25.0
 """One innovation counts for this at most, so that one wild area is soon forgotten."""
 
 
 @njit(cache=True)
-def regressors(noise, force, limit, sensitivity, gain, h):
+def observation_row(noise, force, limit, sensitivity, gain, h):
     """Fill h (9,): answer of ln A (gain 1) or ln δ (its gain) with sensitivities (3,) to x.
 
     force: N, of which φ is held below LEAST_FORCE and above the model's `limit` (N).
@@ -183,7 +183,7 @@ def initialise(bank, noise, moisture_stamp):
             bank.mean[k, i] = noise.prior_mean[i]
     _widen(bank, noise)
     bank.areas = 0
-    bank.surprise = 1.0
+    bank.mean_nis = 1.0
     bank.mismatch = False
     bank.measured = False
     bank.moisture_stamp = moisture_stamp
@@ -197,7 +197,7 @@ def copy_knowledge(source, target):
     target.covariance[:] = source.covariance
     target.log_weight[:] = source.log_weight
     target.areas = source.areas
-    target.surprise = source.surprise
+    target.mean_nis = source.mean_nis
     target.mismatch = source.mismatch
     target.moisture_stamp = source.moisture_stamp
 
@@ -304,7 +304,7 @@ def _most_probable(area, sd, predicted, variance):
 
 
 @njit(cache=True)
-def _normalised(bank, k, noise, h, offset, model_area, area, sd):
+def _normalised_innovation_squared(bank, k, noise, h, offset, model_area, area, sd):
     """Square of the innovation over its deviation in filter k."""
     predicted = model_area * math.exp(_product(h, bank.mean[k]) - offset)
     variance = _variance(bank.covariance[k], h) + noise.model_variance
@@ -315,8 +315,8 @@ def _normalised(bank, k, noise, h, offset, model_area, area, sd):
 
 
 @njit(cache=True)
-def follow_load(bank, force):
-    """The contact's force is `force` (N) now."""
+def record_peak_load(bank, force):
+    """The contact's force is `force` (N) now; the largest one is kept."""
     bank.load = max(bank.load, math.log(max(force / TARGET_FORCE, 1.0)))
 
 
@@ -331,7 +331,7 @@ def _drift_until(bank, noise, k, stamp, phi):
 
 
 @njit(cache=True)
-def _add_drift(bank, noise, stamp, phi, sign):
+def _predict(bank, noise, stamp, phi, sign):
     """Add the drift until `stamp` and `phi` to the variance of d; sign −1 takes it off again."""
     for k in range(FILTERS):
         drift = _drift_until(bank, noise, k, stamp, phi)
@@ -339,7 +339,7 @@ def _add_drift(bank, noise, stamp, phi, sign):
 
 
 @njit(cache=True)
-def _update(bank, noise, h, offset, model_area, area, sd):
+def _kalman_update(bank, noise, h, offset, model_area, area, sd):
     """Iterated Kalman update of all filters, and of their weights by the likelihood."""
     gain = np.empty(STATES)
     largest = -math.inf
@@ -364,32 +364,34 @@ def _update(bank, noise, h, offset, model_area, area, sd):
 
 
 @njit(cache=True)
-def correct(bank, noise, stamp, h, offset, model_area, area, sd):
+def update(bank, noise, stamp, h, offset, model_area, area, sd):
     """Predict to `stamp` and update with an area measured then; false when it is an outlier.
 
     h (9,), offset = s w₀ and model_area (m²) are those of the stamp; area, sd in m².
     """
     phi = h[CONTACT + 1] / h[CONTACT]
-    _add_drift(bank, noise, stamp, phi, 1.0)
+    _predict(bank, noise, stamp, phi, 1.0)
     least = math.inf
     for k in range(FILTERS):
-        least = min(least, _normalised(bank, k, noise, h, offset, model_area, area, sd))
+        least = min(
+            least, _normalised_innovation_squared(bank, k, noise, h, offset, model_area, area, sd)
+        )
     bank.areas += 1
-    share = max(1.0 - SURPRISE_MEMORY, 1.0 / (EXPECTED + bank.areas))
-    bank.surprise += share * (min(least, MOST_SURPRISE) - bank.surprise)
-    bank.mismatch = bank.surprise > (MATCH if bank.mismatch else MISMATCH)
+    share = max(1.0 - NIS_MEMORY, 1.0 / (NIS_PRIOR_COUNT + bank.areas))
+    bank.mean_nis += share * (min(least, MOST_NIS) - bank.mean_nis)
+    bank.mismatch = bank.mean_nis > (MATCH if bank.mismatch else MISMATCH)
     if least > noise.outlier_limit**2:
         bank.outliers += 1
         if bank.outliers < ACCEPTED_OUTLIERS:
-            _add_drift(bank, noise, stamp, phi, -1.0)
+            _predict(bank, noise, stamp, phi, -1.0)
             return False
         # The filters were too confident.
         _widen(bank, noise)
     bank.outliers = 0
-    _update(bank, noise, h, offset, model_area, area, sd)
+    _kalman_update(bank, noise, h, offset, model_area, area, sd)
     bank.measured = True
     bank.newest = math.log(area / model_area)
-    bank.tolerance = math.log1p(HULL * sd / area)
+    bank.tolerance = math.log1p(BOUND_SD * sd / area)
     bank.stamp = max(stamp, bank.stamp)
     bank.phi = phi
     return True

@@ -112,7 +112,7 @@ class FilterState:
             self.constants = np.repeat(self.base, 1 + sensitivities.DIRECTIONS)
             self.finger = self._at_rest()
         if new or self._model_key() != before:
-            stream.take_parameters(*self._model_records(), config, self.state, held)
+            stream.change_parameters(*self._model_records(), config, self.state, held)
 
     def _model_key(self) -> tuple[bytes, bytes]:
         """What the model's area depends on beside force and history."""

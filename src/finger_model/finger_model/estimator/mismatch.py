@@ -67,7 +67,7 @@ def mismatch_of(bank: np.ndarray, noise: np.ndarray) -> Mismatch:
     area = change[0] + change[1] * math.log(TYPICAL_FORCE)
     tissue = dict(zip(DIRECTION_NAMES, change[area_filter.TISSUE]))
     return Mismatch(
-        float(bank["surprise"]),
+        float(bank["mean_nis"]),
         bool(bank["mismatch"]),
         math.sqrt(max(square, 0.0)),
         float(chdtrc(max(int(free.sum()), 1), square)),

@@ -203,7 +203,7 @@ def _answers(
     areas = []
     for i in range(len(constants)):
         own = constants[i : i + 1]
-        found = model.follow(own, model.state_at_rest(own), _TIME, _FORCE, before=0.0)
+        found = model.run(own, model.state_at_rest(own), _TIME, _FORCE, before=0.0)
         areas.append(np.log(found[:, 0]))
     perturbed = PerturbedFinger.at(model, base, np.zeros(DIRECTIONS))
     sensitivities = perturbed.run(0.0, _TIME, _FORCE).sensitivities

@@ -99,17 +99,17 @@ CONTACT = np.dtype(
         ("liftoff", "i8"),  # ns
         ("fused_stamp", "i8"),  # ns
         ("fused_area", "f8"),  # m²
-        ("air", "i8"),  # ns, newest sample below half the onset force; 0 for none
-        ("unseen", "?"),  # the contact did not begin as a finger's does
-        ("beyond", "?"),  # the force has been beyond the model's limit
-        ("outdated", "?"),  # the model has constants from before the last change of them
-        ("empty", "i8"),  # areas in a row that show no contact
+        ("last_unloaded", "i8"),  # ns, newest sample below half the onset force; 0 for none
+        ("onset_unseen", "?"),  # the contact did not begin as a finger's does
+        ("exceeded_limit", "?"),  # the force has been beyond the model's limit
+        ("constants_outdated", "?"),  # the model has constants from before the last change of them
+        ("empty_areas", "i8"),  # areas in a row that show no contact
         ("seen_force", "f8"),  # N, at the newest area of this contact; 0 for none
         ("empty_since", "i8"),  # ns, stamp of the first of them under more than QUIET_FORCE
-        ("quiet", "i8"),  # ns, since when the force is nearly constant
+        ("quiet_since", "i8"),  # ns, since when the force is nearly constant
         ("quiet_force", "f8"),  # N
-        ("pulled", "i8"),  # ns, since when the force is negative; 0 while it is not
-        ("untared", "?"),  # no finger's for certain, and not at rest near zero since
+        ("negative_since", "i8"),  # ns, since when the force is negative; 0 while it is not
+        ("offset_suspected", "?"),  # no finger's for certain, and not at rest near zero since
         ("loaded", "i8"),  # ns, newest sample beyond the onset force, of either sign
     ],
     align=True,
@@ -167,33 +167,37 @@ _in_contact = njit(cache=True)(contact_threshold.in_contact)
 @njit(cache=True)
 def _offset_suspected(contact, stamp):
     """Whether the force of the present contact, or that in the air, is hardly a finger's."""
-    if not contact.touching or contact.untared:
-        return contact.untared
-    quiet = contact.quiet_force < QUIET_FORCE and (stamp - contact.quiet) * 1e-9 > QUIET_TIME
-    return contact.unseen or contact.empty >= EMPTY_AREAS or (quiet and not contact.has_fused)
+    if not contact.touching or contact.offset_suspected:
+        return contact.offset_suspected
+    quiet = contact.quiet_force < QUIET_FORCE and (stamp - contact.quiet_since) * 1e-9 > QUIET_TIME
+    return (
+        contact.onset_unseen
+        or contact.empty_areas >= EMPTY_AREAS
+        or (quiet and not contact.has_fused)
+    )
 
 
 @njit(cache=True)
-def _follow_pull(config, state, normal_force, stamp):
+def _check_negative_force(config, state, normal_force, stamp):
     """A force that is negative for long comes from the tare, until it rests near zero again."""
     contact = state.contact
     if abs(normal_force) > config.onset_force:
         contact.loaded = stamp
     elif (stamp - contact.loaded) * 1e-9 > REST_TIME:
-        contact.untared = False
+        contact.offset_suspected = False
     if normal_force > -config.onset_force:
-        contact.pulled = 0
-    elif contact.pulled == 0:
-        contact.pulled = stamp
-    elif not contact.untared and (stamp - contact.pulled) * 1e-9 > PULLED_TIME:
-        contact.untared = True
+        contact.negative_since = 0
+    elif contact.negative_since == 0:
+        contact.negative_since = stamp
+    elif not contact.offset_suspected and (stamp - contact.negative_since) * 1e-9 > PULLED_TIME:
+        contact.offset_suspected = True
         if state.counters.contacts > 0:
             # The last contact was already with this tare.
             area_filter.copy_knowledge(state.before, state.filters)
 
 
 @njit(cache=True)
-def _follow_contact(config, state, normal_force, stamp, silent):
+def _update_contact(config, state, normal_force, stamp, silent):
     """Onset and lift-off by threshold with hysteresis; true at an onset.
 
     silent: no sample came for SILENCE before this one. What is held then is another contact: the
@@ -204,7 +208,7 @@ def _follow_contact(config, state, normal_force, stamp, silent):
     begins = touching and (silent or not contact.touching)
     if contact.touching and (silent or not touching):
         contact.liftoff = stamp
-        if contact.beyond or _offset_suspected(contact, stamp):
+        if contact.exceeded_limit or _offset_suspected(contact, stamp):
             # What was learned from a force that was none, or beyond the model's, is forgotten, and
             # areas of this contact that are still under way teach nothing.
             area_filter.copy_knowledge(state.before, state.filters)
@@ -212,21 +216,21 @@ def _follow_contact(config, state, normal_force, stamp, silent):
     if begins:
         area_filter.copy_knowledge(state.filters, state.before)
         area_filter.begin_contact(state.filters, config.noise, stamp)
-        rise = (stamp - contact.air) * 1e-9
-        contact.unseen = silent or contact.air == 0 or rise > SLOWEST_TOUCH
-        contact.beyond = False
+        rise = (stamp - contact.last_unloaded) * 1e-9
+        contact.onset_unseen = silent or contact.last_unloaded == 0 or rise > SLOWEST_TOUCH
+        contact.exceeded_limit = False
         contact.seen_force = 0.0
-        contact.empty = 0
-        contact.quiet = stamp
+        contact.empty_areas = 0
+        contact.quiet_since = stamp
         contact.onset = stamp
         contact.has_fused = False
         state.counters.contacts += 1
     contact.touching = touching
     if normal_force < 0.5 * config.onset_force:
-        contact.air = stamp
+        contact.last_unloaded = stamp
     if abs(normal_force - contact.quiet_force) > QUIET_BAND:
-        contact.quiet, contact.quiet_force = stamp, normal_force
-    _follow_pull(config, state, normal_force, stamp)
+        contact.quiet_since, contact.quiet_force = stamp, normal_force
+    _check_negative_force(config, state, normal_force, stamp)
     return begins
 
 
@@ -246,12 +250,12 @@ def _is_beyond(par, finger, normal_force):
 
 
 @njit(cache=True)
-def _follow_limit(state, beyond, stamp):
+def _check_force_limit(state, beyond, stamp):
     """From a force `beyond` the model's on, a contact tells nothing of the finger: neither the area
     there, nor what the tissue has gone through, is the model's."""
     contact = state.contact
-    if contact.touching and beyond and not contact.beyond:
-        contact.beyond = True
+    if contact.touching and beyond and not contact.exceeded_limit:
+        contact.exceeded_limit = True
         if not _offset_suspected(contact, stamp):
             area_filter.copy_knowledge(state.filters, state.before)
 
@@ -339,27 +343,31 @@ def _fuse(config, state, stamp, area, sd, limit):
     if not model_area >= SMALLEST_AREA:
         return False
     if area == NO_CONTACT:
-        if contact.empty == 0 or force <= QUIET_FORCE:
+        if contact.empty_areas == 0 or force <= QUIET_FORCE:
             contact.empty_since = stamp
-        contact.empty += 1
+        contact.empty_areas += 1
         empty_time = (stamp - contact.empty_since) * 1e-9
         # A finger that began as one does may come into the picture late, or be lost in a hold; one
         # that was lifted was small, or pressed harder, when it was last seen.
         lifted = force < 0.5 * contact.seen_force
         lifted |= contact.seen_force > 0.0 and contact.fused_area < 0.5 * model_area
-        if (contact.unseen or lifted) and contact.empty >= EMPTY_AREAS and empty_time >= EMPTY_TIME:
-            contact.untared = True
+        if (
+            (contact.onset_unseen or lifted)
+            and contact.empty_areas >= EMPTY_AREAS
+            and empty_time >= EMPTY_TIME
+        ):
+            contact.offset_suspected = True
         return False
     if not LEAST_AREA < area < LARGEST_AREA or not 0.0 < sd < LARGEST_AREA:
         return False
     sd = max(sd, LEAST_DEVIATION * area)
     h = np.empty(area_filter.STATES)
-    area_filter.regressors(config.noise, force, limit, sensitivity, 1.0, h)
+    area_filter.observation_row(config.noise, force, limit, sensitivity, 1.0, h)
     offset = _offset(state, sensitivity)
-    if not area_filter.correct(state.filters, config.noise, stamp, h, offset, model_area, area, sd):
+    if not area_filter.update(state.filters, config.noise, stamp, h, offset, model_area, area, sd):
         return False
-    contact.empty = 0
-    contact.unseen = False
+    contact.empty_areas = 0
+    contact.onset_unseen = False
     contact.seen_force = force
     contact.fused_stamp = stamp
     contact.fused_area = area
@@ -369,10 +377,10 @@ def _fuse(config, state, stamp, area, sd, limit):
 
 
 @njit(cache=True)
-def _place(net, base, par, finger, work, state):
+def _apply_constants(net, base, par, finger, work, state):
     """Constants of the finger and its perturbed copies from `base`."""
-    if state.contact.outdated:
-        state.contact.outdated = False
+    if state.contact.constants_outdated:
+        state.contact.constants_outdated = False
         for j in range(1 + sensitivities.DIRECTIONS):
             # The states are of these.
             before = par[j].fraction.copy()
@@ -382,7 +390,7 @@ def _place(net, base, par, finger, work, state):
 
 
 @njit(cache=True)
-def _see_noise(stream, stamp, normal, a, b):
+def _update_noise(stream, stamp, normal, a, b):
     """Noise of the normal force (N), by a valid sample of it and of the lateral forces."""
     dt = (stamp - stream.measured.stamp) * 1e-9
     if not force_noise.measured_anew(stream.measured, stamp, normal, a, b):
@@ -412,7 +420,7 @@ def _advance_model(net, base, par, finger, work, config, state, stamp, normal_fo
         # A model that could not follow a contact starts again from rest in the air.
         sensitivities.reset(net, par, finger, work)
         state.sensitivities.stamp[:] = stamp
-    begins = _follow_contact(config, state, normal_force, stamp, dt > SILENCE)
+    begins = _update_contact(config, state, normal_force, stamp, dt > SILENCE)
     if begins:
         # What the last contacts told of the finger moves the model itself, so that sensitivities
         # are those of this finger.
@@ -420,14 +428,14 @@ def _advance_model(net, base, par, finger, work, config, state, stamp, normal_fo
             net, par, finger, work, state.sensitivities, stamp, normal_force, True
         )
         sensitivities.set_shift(state.sensitivities, state.filters.start[area_filter.TISSUE])
-        _place(net, base, par, finger, work, state)
+        _apply_constants(net, base, par, finger, work, state)
         sensitivities.evaluate(net, par, finger, work, state.sensitivities, normal_force)
     else:
         sensitivities.advance_perturbed(
             net, par, finger, work, state.sensitivities, stamp, normal_force, False
         )
-    area_filter.follow_load(state.filters, min(normal_force, _limit(par[0], finger[0])))
-    _follow_limit(state, _is_beyond(par[0], finger[0], normal_force), stamp)
+    area_filter.record_peak_load(state.filters, min(normal_force, _limit(par[0], finger[0])))
+    _check_force_limit(state, _is_beyond(par[0], finger[0], normal_force), stamp)
     gain, _ = _pose_gain(config, finger[0].area)
     _remember(state.memory, stamp, normal_force, gain * finger[0].area, state.sensitivities.area)
 
@@ -444,7 +452,7 @@ def _write_contact(config, state, finger, normal_force, limit, stamp, row):
         return
     noise, filters = config.noise, state.filters
     h = np.empty(area_filter.STATES)
-    area_filter.regressors(noise, normal_force, limit, state.sensitivities.area, 1.0, h)
+    area_filter.observation_row(noise, normal_force, limit, state.sensitivities.area, 1.0, h)
     offset = _offset(state, state.sensitivities.area)
     error, variance = area_filter.estimate(filters, noise, h, offset, stamp, True)
     own_gain, slope = _pose_gain(config, finger.area)
@@ -471,7 +479,9 @@ def _write_contact(config, state, finger, normal_force, limit, stamp, row):
     # Gains and the contact's own error: half in length (see GAIN_OF_INDENTATION), and that half
     # uncertain.
     gain = area_filter.GAIN_OF_INDENTATION
-    area_filter.regressors(noise, normal_force, limit, state.sensitivities.indentation, gain, h)
+    area_filter.observation_row(
+        noise, normal_force, limit, state.sensitivities.indentation, gain, h
+    )
     offset = _offset(state, state.sensitivities.indentation)
     deeper, spread = area_filter.estimate(filters, noise, h, offset, stamp, False)
     h[area_filter.TISSUE] = h[area_filter.MOISTURE] = 0.0
@@ -482,7 +492,7 @@ def _write_contact(config, state, finger, normal_force, limit, stamp, row):
 
 
 @njit(cache=True)
-def _doubt(row):
+def _inflate_deviations(row):
     """Deviations as large as the values: there may be no contact at all."""
     row.area_stddev = max(row.area_stddev, row.area)
     row.radius_stddev = max(row.radius_stddev, row.radius)
@@ -553,7 +563,7 @@ def process(net, base, par, finger, work, configuration, states, stamps, forces,
         stream.last_stamp = stamp
         if valid:
             _advance_model(net, base, par, finger, work, config, state, stamp, normal_force)
-            _see_noise(state.stream, stamp, normal_force, a, b)
+            _update_noise(state.stream, stamp, normal_force, a, b)
             if _is_beyond(par[0], finger[0], normal_force):
                 flags |= FLAG.FORCE_OUT_OF_RANGE
             if (
@@ -581,7 +591,7 @@ def process(net, base, par, finger, work, configuration, states, stamps, forces,
             flags |= FLAG.MODEL_MISMATCH
         if _offset_suspected(state.contact, stamp):
             flags |= FLAG.FORCE_OFFSET
-            _doubt(row)
+            _inflate_deviations(row)
         row.stamp_ns = stamp
         row.normal_force = normal_force
         row.lateral_force = lateral_force
@@ -600,7 +610,7 @@ def initialise_filters(net, base, par, finger, work, configuration, states):
         area_filter.initialise(bank, config.noise, config.moisture_stamp)
     state.contact.has_fused = False
     sensitivities.set_shift(state.sensitivities, state.filters.start[area_filter.TISSUE])
-    _place(net, base, par, finger, work, state)
+    _apply_constants(net, base, par, finger, work, state)
 
 
 @njit(cache=True)
@@ -615,7 +625,7 @@ def new_reading(configuration, states):
 def _fused_error(config, state, finger, limit, bounded):
     """Logarithm of the fused area over the model's now, `limit` (N) of whose force is `finger`."""
     h = np.empty(area_filter.STATES)
-    area_filter.regressors(config.noise, finger.force, limit, state.sensitivities.area, 1.0, h)
+    area_filter.observation_row(config.noise, finger.force, limit, state.sensitivities.area, 1.0, h)
     offset = _offset(state, state.sensitivities.area)
     stamp = state.stream.model_stamp
     return area_filter.estimate(state.filters, config.noise, h, offset, stamp, bounded)[0]
@@ -633,7 +643,7 @@ def held_area(par, finger, configuration, states):
 
 
 @njit(cache=True)
-def take_parameters(net, base, par, finger, work, configuration, states, held):
+def change_parameters(net, base, par, finger, work, configuration, states, held):
     """Let the model have changed constants `base`, or another pose; held: `held_area` before.
 
     A contact of which an area was measured goes on with the constants it has until it ends: they
@@ -641,9 +651,9 @@ def take_parameters(net, base, par, finger, work, configuration, states, held):
     it is. Its own error takes up what pose and filters changed.
     """
     config, state = configuration[0], states[0]
-    state.contact.outdated = True
+    state.contact.constants_outdated = True
     if math.isnan(held):
-        _place(net, base, par, finger, work, state)
+        _apply_constants(net, base, par, finger, work, state)
         return
     memory = state.memory
     gain, _ = _pose_gain(config, finger[0].area)
@@ -662,7 +672,7 @@ def begin_contact(net, base, par, finger, work, configuration, states):
     config, state = configuration[0], states[0]
     area_filter.begin_contact(state.filters, config.noise, state.stream.last_stamp)
     sensitivities.set_shift(state.sensitivities, state.filters.start[area_filter.TISSUE])
-    _place(net, base, par, finger, work, state)
+    _apply_constants(net, base, par, finger, work, state)
 
 
 @njit(cache=True)
@@ -683,14 +693,14 @@ def predicted(net, par, finger, work, scratch, configuration, states, time, forc
         table[i] = found[i, :3]
         if found[i, 0] > 0.0:
             sensitivity = found[i, 3 : 3 + sensitivities.DIRECTIONS]
-            area_filter.regressors(noise, force[i], limit, sensitivity, 1.0, h)
+            area_filter.observation_row(noise, force[i], limit, sensitivity, 1.0, h)
             offset = _offset(state, sensitivity)
             error, _ = area_filter.estimate(filters, noise, h, offset, filters.stamp, True)
             own_gain, _ = _pose_gain(config, found[i, 0])
             table[i, 0] *= own_gain * math.exp(error)
             table[i, 2] *= math.exp(_peak_of(config, force[i])[0] - error) / own_gain
             sensitivity = found[i, 3 + sensitivities.DIRECTIONS :]
-            area_filter.regressors(noise, force[i], limit, sensitivity, gain, h)
+            area_filter.observation_row(noise, force[i], limit, sensitivity, gain, h)
             offset = _offset(state, sensitivity)
             deeper, _ = area_filter.estimate(filters, noise, h, offset, filters.stamp, False)
             table[i, 1] *= math.exp(deeper)

@@ -771,7 +771,7 @@ def step_without_slope(net, par, state, work, dt, force):
 
 
 @njit(cache=True, nogil=True)
-def follow(net, par, state, work, before, time, force, table):
+def run(net, par, state, work, before, time, force, table):
     """Area, indentation and peak pressure (n, 3) along time and force (n,).
 
     The state that they begin with is that of time `before`. Returns the first row that could not be

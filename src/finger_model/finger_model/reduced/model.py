@@ -392,10 +392,10 @@ class ReducedModel:
         constants = self.constants(self.space.default)
         state = self.state_at_rest(constants)
         time, force = np.array([0.0, 0.1]), np.array([0.0, 0.1])
-        if not np.isfinite(self.follow(constants, state, time, force, 0.0)).all():
+        if not np.isfinite(self.run(constants, state, time, force, 0.0)).all():
             raise ValueError("its numbers give no contact")
 
-    def follow(
+    def run(
         self,
         constants: np.ndarray,
         state: np.ndarray,
@@ -413,7 +413,7 @@ class ReducedModel:
         table = np.empty((len(time), 3))
         work = self.work.copy()  # other threads may run beside
         try:
-            row = rk.follow(self.networks, constants, state, work, before, time, force, table)
+            row = rk.run(self.networks, constants, state, work, before, time, force, table)
         except ZeroDivisionError:
             raise InputError(
                 "reduced model: the file is damaged, its numbers give no contact; build it again "
@@ -457,7 +457,7 @@ class ReducedModel:
                 f"limit of {limit:.3g} N for this material; lower the force or use --solver full"
             )
         state = self.state_at_rest(constants)
-        table = self.follow(constants, state, time, force, before=time[0])
+        table = self.run(constants, state, time, force, before=time[0])
         lost = np.isnan(table[:, 0])
         if lost.any():
             row = int(np.argmax(lost))

@@ -400,7 +400,7 @@ def measured_error(arrays: dict[str, np.ndarray], runs: list[Run]) -> dict[str, 
         record["force_limit"] = run.scale * run.share * LARGEST_LOAD[0] * 10.0
         found = np.empty((len(run.time), 3))
         state = maps.at_rest(record)
-        rk.follow(maps.networks, record, state, maps.work, run.time[0], run.time, run.force, found)
+        rk.run(maps.networks, record, state, maps.work, run.time[0], run.time, run.force, found)
         values = zip(CONTEXT, run.context)
         named = f"L {run.length * 1e3:.1f} mm, E∞/E0 {run.share:.3f}, " + ", ".join(
             f"{name} {value:.2f}" for name, value in values

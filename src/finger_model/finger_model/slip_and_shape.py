@@ -3,10 +3,10 @@
 
 """What follows the contact's estimator sample by sample, live and offline: slip and pose.
 
-    followers = Followers(estimator, SlipSettings(), PoseSettings())
+    slip_and_shape = SlipAndShape(estimator, SlipSettings(), PoseSettings())
     for stamp_ns, force, torque in wrenches:
         for estimate in estimator.add_wrench(stamp_ns, force):
-            slip, shape = followers.follow(estimate, force, torque)
+            slip, shape = slip_and_shape.process(estimate, force, torque)
 
 They take finger, parameters, axis and delay from the estimator, so that a recording of its events
 is enough to repeat them.
@@ -44,7 +44,7 @@ def prepare(model: ReducedModel, sets: ParameterSets) -> None:
         shear_curve(model.geometry, material)
 
 
-class Followers:
+class SlipAndShape:
     """Slip and pose of the finger of one estimator.
 
     estimator: may be replaced; with another one they begin anew. slip, pose: settings, None for
@@ -125,7 +125,7 @@ class Followers:
         if self._pose is not None:
             self._pose.outlines.leave_out(first_ns, last_ns)
 
-    def follow(
+    def process(
         self, estimate: ContactEstimate, force: Sequence[float], torque: Sequence[float]
     ) -> tuple[SlipEstimate | None, ShapeEstimate | None]:
         """Slip, and shape where one is due, of an estimate and the force (3,) in N and torque (3,)
@@ -134,10 +134,10 @@ class Followers:
         slip = None if self._slip is None else self._slip.add(estimate, force)
         return slip, None if self._pose is None else self._pose.add(estimate, force, torque)
 
-    def follow_block(
+    def process_block(
         self, block: EstimateBlock, forces: np.ndarray, torques: np.ndarray
     ) -> tuple[np.ndarray, list[tuple[int, ShapeEstimate]]]:
-        """As `follow` for n estimates between which the estimator did not change.
+        """As `process` for n estimates between which the estimator did not change.
 
         forces, torques (n, 3). Gives rows (n,) of `slip.estimate.OUTPUT`, and the shapes, each with
         the number of its estimate; without rows or shapes where they are not wanted.

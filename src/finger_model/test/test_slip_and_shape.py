@@ -15,7 +15,6 @@ import pytest
 from finger_common.moisture import MOISTURE_RANGE
 from finger_model.estimator import ContactEstimator, EstimatorSettings, estimator
 from finger_model.estimator.parameter_selection import select_parameters
-from finger_model.followers import Followers, prepare
 from finger_model.geometry import Geometry
 from finger_model.parameter_sets import ParameterSets
 from finger_model.reduced import ReducedModel
@@ -24,6 +23,7 @@ from finger_model.shape.estimate import MeasuredOutline
 from finger_model.shape.settings import PoseSettings
 from finger_model.slip import SlipSettings
 from finger_model.slip.shear import _table, shear_curve
+from finger_model.slip_and_shape import SlipAndShape, prepare
 
 T0, MS = 1_700_000_000_000_000_000, 1_000_000
 
@@ -31,25 +31,27 @@ T0, MS = 1_700_000_000_000_000_000, 1_000_000
 def stiffnesses(readings):
     """What slip takes the finger for after each reading (n, depths), and the tables computed."""
     contact = ContactEstimator(ReducedModel.load())
-    followers = Followers(contact, SlipSettings(), None)
+    slip_and_shape = SlipAndShape(contact, SlipSettings(), None)
     found, before = [], _table.cache_info().misses
     for k, value in enumerate(readings):
         contact.add_moisture(T0 + k * 1000 * MS, float(value))
         for n in (0, 200):
             for estimate in contact.add_wrench(T0 + (k * 1000 + n) * MS, (0.0, 0.0, 0.0)):
-                followers.follow(estimate, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-        found.append(followers._slip._config["finger"]["shear"][0].copy())
+                slip_and_shape.process(estimate, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+        found.append(slip_and_shape._slip._config["finger"]["shear"][0].copy())
     return np.array(found), _table.cache_info().misses - before
 
 
 def test_what_areas_of_a_pause_showed_is_forgotten() -> None:
     """A replay hears of the pause when they wait already; live none of them was used."""
-    followers = Followers(ContactEstimator(ReducedModel.load()), SlipSettings(), PoseSettings())
+    slip_and_shape = SlipAndShape(
+        ContactEstimator(ReducedModel.load()), SlipSettings(), PoseSettings()
+    )
     outline = MeasuredOutline((0.0, 0.0), 8e-3, 6e-3, 0.0, 1e-4, 1e-4, 1e-4)
     for k in range(5):
-        followers.see_area(T0 + k * 1000 * MS, (0.5, 0.05), outline)
-    followers.leave_out(T0 + 1000 * MS, T0 + 3000 * MS)
-    for waiting in (followers._slip.sticks, followers._pose.outlines):
+        slip_and_shape.see_area(T0 + k * 1000 * MS, (0.5, 0.05), outline)
+    slip_and_shape.leave_out(T0 + 1000 * MS, T0 + 3000 * MS)
+    for waiting in (slip_and_shape._slip.sticks, slip_and_shape._pose.outlines):
         assert [stamp for stamp, _ in waiting.due(T0 + 9000 * MS)] == [T0, T0 + 4000 * MS]
 
 

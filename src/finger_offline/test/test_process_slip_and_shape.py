@@ -16,11 +16,11 @@ from finger_bag.reader import open_bag
 from finger_bag.writer import BagWriter
 from finger_model.estimator import ContactEstimator, EstimatorEvent, EstimatorSettings
 from finger_model.finger import load_reduced
-from finger_model.followers import Followers
 from finger_model.messages import event_fields, shape_fields, slip_numbers
 from finger_model.shape.estimate import MeasuredOutline
 from finger_model.shape.settings import PoseSettings
 from finger_model.slip import SlipSettings
+from finger_model.slip_and_shape import SlipAndShape
 from finger_offline.process import process
 from finger_offline.process_options import ProcessOptions
 
@@ -40,7 +40,7 @@ def live_recording(
     clock: whether the node sees its clock jump.
     """
     estimator = ContactEstimator(load_reduced(), settings=settings)
-    followers = Followers(estimator, SlipSettings(), PoseSettings())
+    slip_and_shape = SlipAndShape(estimator, SlipSettings(), PoseSettings())
     slips, shapes, sequence = [], [], 0
     before = np.zeros(3), np.zeros(3)
     with BagWriter(path) as bag:
@@ -70,9 +70,9 @@ def live_recording(
             bag.write("wrench", {"header": {"stamp": stamp}, "wrench": parts}, log)
             estimates = estimator.add_wrench(stamp, now[0].tolist())
             for estimate, sample in zip(estimates, (before, now)[-len(estimates) :]):
-                slip, shape = followers.follow(estimate, *(part.tolist() for part in sample))
+                slip, shape = slip_and_shape.process(estimate, *(part.tolist() for part in sample))
                 assert slip is not None
-                slips.append(slip_numbers(slip, followers.lateral_axes))
+                slips.append(slip_numbers(slip, slip_and_shape.lateral_axes))
                 if shape is not None:
                     shapes.append(encode(SHAPE, shape_fields(shape, "plate")))
             before = now
@@ -96,7 +96,7 @@ def live_recording(
                 }
                 bag.write("contact_area", fields, log)
                 assert estimator.add_area(stamp, fields["gross_area"], 1e-6)
-                followers.see_area(stamp, stick, seen)
+                slip_and_shape.see_area(stamp, stick, seen)
     return slips, shapes
 
 
