@@ -180,6 +180,8 @@ except ImportError:
     def _with_attributes(value: Any) -> Any:
         if isinstance(value, np.void):
             return _Record(value)
+        if isinstance(value, tuple) and hasattr(value, "_make"):  # a named tuple
+            return value._make(map(_with_attributes, value))
         structured = isinstance(value, np.ndarray) and value.dtype.names
         return _Records(value) if structured else value
 

@@ -64,8 +64,8 @@ def flags(estimator: ContactEstimator, ms: int, normal: float, lateral: float = 
 
 def fail(estimator: ContactEstimator) -> None:
     """Let the reduced model fail, as after a state that cannot be."""
-    for name in estimator._state.finger.dtype.names or ():
-        estimator._state.finger[name] = np.nan
+    for name in estimator._state.records.states.dtype.names or ():
+        estimator._state.records.states[name] = np.nan
 
 
 def test_one_by_one_and_in_bulk_give_the_same_bits(model: ReducedModel) -> None:

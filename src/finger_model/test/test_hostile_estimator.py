@@ -336,9 +336,9 @@ def test_an_area_that_is_held_at_a_bound_is_as_uncertain_as_it_was_moved(
     for k in range(len(alone)):
         (e,) = feed(estimator, 0.001 * PERIOD * k, 0.001 * PERIOD * (k + 1), press)
         if e.in_contact:
-            records = estimator._state
-            parts = records.configuration[0], records.state[0], records.finger[0]
-            free = stream._fused_error(*parts, records.constants["force_limit"][0], False)
+            known = estimator._state
+            parts = known.configuration[0], known.state[0], known.records.states[0]
+            free = stream._fused_error(*parts, known.records.constants["force_limit"][0], False)
             moved.append(abs(free - math.log(e.area / e.model_area)))
             assert e.area_stddev / e.area >= moved[-1]
     assert max(moved) > 0.1

@@ -15,6 +15,7 @@ from finger_common.stamps import nanoseconds
 
 from ..pose.correction import PoseCorrection
 from ..pose.pose import Pose
+from ..reduced.kernels import ModelRecords
 from ..reduced.model import ReducedModel
 from . import area_filter, sensitivities, stream
 from .estimate import ESTIMATE_DTYPE
@@ -30,9 +31,8 @@ class FilterState:
         self.model = model
         self.configuration = np.zeros(1, stream.CONFIGURATION)
         self.state = np.zeros(1, stream.STATE)
-        self.base: np.ndarray = np.zeros(0)
-        self.constants: np.ndarray = np.zeros(0)
-        self.finger: np.ndarray = np.zeros(0)
+        none = np.zeros(0)
+        self.records = ModelRecords(model.networks, none, none, none, model.work)
         self._stream = self.state["stream"]
         self._pose = Pose()
         self._correction: PoseCorrection | None = None
@@ -88,7 +88,8 @@ class FilterState:
         """Take over parameters, and the moisture reading (stamp, value) that they are for."""
         config = self.configuration
         held, before = self._held_area(), self._model_key()
-        new = not len(self.finger) or config["moisture_stamp"][0] != (moisture or (0, np.nan))[0]
+        fresh = not len(self.records.states)
+        new = fresh or config["moisture_stamp"][0] != (moisture or (0, np.nan))[0]
         config["moisture_stamp"], config["moisture"] = moisture or (0, np.nan)
         config["flags"] = selected.flags | self._take_pose(selected.material.skin_ratio)
         noise, prior = config["noise"], selected.prior
@@ -105,34 +106,29 @@ class FilterState:
         own = self.model.rms_error_of(selected.parameters)
         errors = own, prior.misfit_sd, self.pose_correction.area_sd
         noise["model_variance"] = sum(error**2 for error in errors)
-        self.base = selected.constants
+        self.records = self.records._replace(base=selected.constants)
         if new:
             stream.new_reading(config, self.state)
-        if not len(self.finger):
-            self.constants = np.repeat(self.base, 1 + sensitivities.DIRECTIONS)
-            self.finger = self._at_rest()
+        if fresh:
+            self._put_at_rest()
         if new or self._model_key() != before:
-            stream.change_parameters(*self._model_records(), config, self.state, held)
+            stream.change_parameters(self.records, config, self.state, held)
 
     def _model_key(self) -> tuple[bytes, bytes]:
         """What the model's area depends on beside force and history."""
-        return self.base.tobytes(), self.configuration["pose"].tobytes()
+        return self.records.base.tobytes(), self.configuration["pose"].tobytes()
 
     def _held_area(self) -> float:
         """See `stream.held_area`."""
-        if not len(self.finger):
+        if not len(self.records.states):
             return math.nan
-        return float(stream.held_area(self.constants, self.finger, self.configuration, self.state))
+        return float(stream.held_area(self.records, self.configuration, self.state))
 
-    def _at_rest(self) -> np.ndarray:
-        """States (4,) of the finger and its perturbed copies at rest."""
-        return np.concatenate([self.model.state_at_rest(c[None]) for c in self.constants])
-
-    def _model_records(
-        self,
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        model = self.model
-        return model.networks, self.base, self.constants, self.finger, model.work
+    def _put_at_rest(self) -> None:
+        """Constants (4,) as `base`; states (4,) of the finger and its perturbed copies at rest."""
+        constants = np.repeat(self.records.base, 1 + sensitivities.DIRECTIONS)
+        states = np.concatenate([self.model.state_at_rest(c[None]) for c in constants])
+        self.records = self.records._replace(constants=constants, states=states)
 
     # State -----------------------------------------------------------------------------------
 
@@ -145,7 +141,7 @@ class FilterState:
     @property
     def force(self) -> float:
         """Normal force (N) of the newest sample that the model followed."""
-        return float(self.finger["force"][0])
+        return float(self.records.states["force"][0])
 
     def add_flag(self, flag: int) -> None:
         """Set a flag of the next estimate."""
@@ -164,12 +160,11 @@ class FilterState:
         if keep_stream:
             self._stream[:] = kept
             self.state["sensitivities"]["stamp"] = kept["model_stamp"]
-        self.constants = np.repeat(self.base, 1 + sensitivities.DIRECTIONS)
-        self.finger = self._at_rest()
+        self._put_at_rest()
         self._initialise()
 
     def _initialise(self) -> None:
-        stream.initialise_filters(*self._model_records(), self.configuration, self.state)
+        stream.initialise_filters(self.records, self.configuration, self.state)
 
     def initialise_filters(self) -> None:
         """Filters as for a finger not seen before, within the present contact."""
@@ -181,15 +176,8 @@ class FilterState:
         self, stamps: np.ndarray, forces: np.ndarray, areas: np.ndarray, rows: np.ndarray
     ) -> None:
         """Process samples as `stream.process` does."""
-        stream.process(
-            *self._model_records(),
-            self.configuration,
-            self.state,
-            stamps,
-            forces,
-            areas,
-            rows,
-        )
+        configuration, state = self.configuration, self.state
+        stream.process(self.records, configuration, state, stamps, forces, areas, rows)
 
     def mismatch(self) -> Mismatch:
         """How far the finger is from its model."""
@@ -201,24 +189,14 @@ class FilterState:
         time (n,) in s from now, force (n,) in N; the state stays as it is.
         """
         table = np.empty((len(time), 3))
-        networks, base, constants, finger, work = self._model_records()
-        finger, state = finger.copy(), self.state
+        configuration, state = self.configuration, self.state
+        records = self.records._replace(states=self.records.states.copy())
         if not state["contact"]["touching"][0]:
             # The next contact has errors of its own, not those of the last.
-            constants, state = constants.copy(), state.copy()
-            stream.begin_contact(networks, base, constants, finger, work, self.configuration, state)
-        stream.predicted(
-            networks,
-            constants,
-            finger,
-            work,
-            np.zeros(1, sensitivities.SENSITIVITIES),
-            self.configuration,
-            state,
-            time,
-            force,
-            table,
-        )
+            records, state = records._replace(constants=records.constants.copy()), state.copy()
+            stream.begin_contact(records, configuration, state)
+        scratch = np.zeros(1, sensitivities.SENSITIVITIES)
+        stream.predicted(records, scratch, configuration, state, time, force, table)
         return table
 
 

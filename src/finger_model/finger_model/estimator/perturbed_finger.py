@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..reduced.kernels import ModelRecords
 from ..reduced.model import ReducedModel
 from . import sensitivities as kernels
 from .sensitivities import DIRECTIONS, SENSITIVITIES
@@ -26,13 +27,10 @@ class SensitivityHistory(NamedTuple):
 
 @dataclass(frozen=True)
 class PerturbedFinger:
-    """A finger and its perturbed copies: constants and states (4,), the kernels' scratch, and
-    `SENSITIVITIES` (1,) with the shift of the finger. `run` changes the states."""
+    """A finger and its perturbed copies, and `SENSITIVITIES` (1,) with the shift of the finger.
+    `run` changes the states."""
 
-    model: ReducedModel
-    constants: np.ndarray
-    states: np.ndarray
-    work: np.ndarray
+    records: ModelRecords
     sensitivities: np.ndarray
 
     @classmethod
@@ -44,8 +42,9 @@ class PerturbedFinger:
         states = np.concatenate([model.state_at_rest(base)] * len(constants))
         # Apart from the model's own scratch, which a live estimator may be using.
         work = model.work.copy()
-        kernels.set_constants_1(model.networks, base, constants, states, work, sensitivities)
-        return cls(model, constants, states, work, sensitivities)
+        records = ModelRecords(model.networks, base, constants, states, work)
+        kernels.set_constants_1(records, sensitivities)
+        return cls(records, sensitivities)
 
     @property
     def shift(self) -> np.ndarray:
@@ -55,7 +54,5 @@ class PerturbedFinger:
     def run(self, before: float, time: np.ndarray, force: np.ndarray) -> SensitivityHistory:
         """Go on from the instant `before` (s) under forces (n,) in N at times (n,) in s."""
         table = np.empty((len(time), 3 + 2 * DIRECTIONS))
-        sensitivities = self.sensitivities.copy()
-        records = self.model.networks, self.constants, self.states, self.work, sensitivities
-        kernels.simulate(*records, before, time, force, table)
+        kernels.simulate(self.records, self.sensitivities.copy(), before, time, force, table)
         return SensitivityHistory(table[:, 0], table[:, 2], table[:, 3 : 3 + DIRECTIONS])

@@ -42,7 +42,7 @@ def predict(state: FilterState, time: np.ndarray, force: np.ndarray) -> ContactH
         raise InputError(
             f"force to predict: time begins at {time[0]:g} s; give times from now, above 0"
         )
-    limit = float(state.constants["force_limit"][0])
+    limit = float(state.records.constants["force_limit"][0])
     if force.max() > limit:
         raise InputError(
             f"force {force.max():.2f} N is beyond the model's limit of {limit:.2f} N for these "
@@ -73,7 +73,7 @@ def force_for_area(state: FilterState, area: float, horizon: float) -> float:
     def area_at(force: float) -> float:
         return float(state.predicted(time, np.full(len(time), force))[-1, 0])
 
-    low, high = 0.0, float(state.constants["force_limit"][0])
+    low, high = 0.0, float(state.records.constants["force_limit"][0])
     if not math.isfinite(area_at(low)):
         raise InputError("the model could not follow the contact; lift the finger, then ask again")
     for _ in range(_BISECTIONS):

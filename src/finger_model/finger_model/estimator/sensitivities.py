@@ -67,27 +67,27 @@ def _deform(base, par, shift):
 
 
 @njit(cache=True)
-def set_constants(net, base, par, finger, work, sensitivities):
-    """Constants par (4,) of the finger and its copies at sensitivities.shift, from those of `base`.
+def set_constants(model, sensitivities):
+    """Constants (4,) of the finger and its copies at sensitivities.shift, from those of `base`.
 
-    par holds copies of `base`, or what was placed before, whose fractions the states finger (4,)
-    are of: the strain of each branch stays.
+    They hold copies of `base`, or what was set before, whose fractions the states (4,) are of: the
+    strain of each branch stays.
     """
     shift = np.empty(DIRECTIONS)
     for j in range(1 + DIRECTIONS):
         for i in range(DIRECTIONS):
             shift[i] = sensitivities.shift[i] + (PERTURBATIONS[i] if j == 1 + i else 0.0)
         one = slice(j, j + 1)
-        before = par[j].fraction.copy()
-        _deform(base[0], par[j], shift)
-        rk.scale_branches(par[one], finger[one], before)
-        rk.refresh(net, par[one], finger[one], work)
+        before = model.constants[j].fraction.copy()
+        _deform(model.base[0], model.constants[j], shift)
+        rk.scale_branches(model.constants[one], model.states[one], before)
+        rk.refresh(model.networks, model.constants[one], model.states[one], model.work)
 
 
 @njit(cache=True)
-def set_constants_1(net, base, par, finger, work, sensitivities):
+def set_constants_1(model, sensitivities):
     """As `set_constants`, with sensitivities an array of one record."""
-    set_constants(net, base, par, finger, work, sensitivities[0])
+    set_constants(model, sensitivities[0])
 
 
 @njit(cache=True)
@@ -104,9 +104,9 @@ def set_shift(sensitivities, mean):
 
 
 @njit(cache=True)
-def update_sensitivity(finger, sensitivities, j):
+def update_sensitivity(states, sensitivities, j):
     """Sensitivities of direction j from the present states, if both could be followed to here."""
-    here, there = finger[0], finger[1 + j]
+    here, there = states[0], states[1 + j]
     if here.failed or there.failed:
         return
     if here.area > 0.0 and there.area > 0.0:
@@ -118,7 +118,15 @@ def update_sensitivity(finger, sensitivities, j):
 
 
 @njit(cache=True)
-def advance_perturbed(net, par, finger, work, sensitivities, stamp, force, every):
+def _step(model, j, dt, force):
+    """Advance one by dt (s) to `force` (N): 0 the finger, 1 + i its copy of direction i."""
+    one = slice(j, j + 1)
+    constants, states = model.constants[one], model.states[one]
+    rk.step_without_slope(model.networks, constants, states, model.work, dt, force)
+
+
+@njit(cache=True)
+def advance_perturbed(model, sensitivities, stamp, force, every):
     """Bring the copy most behind to `stamp`, and others behind by MAX_LAG_NS, or `every` one."""
     for turn in range(DIRECTIONS):
         oldest = 0
@@ -129,31 +137,31 @@ def advance_perturbed(net, par, finger, work, sensitivities, stamp, force, every
         if behind <= 0 or (turn > 0 and behind <= MAX_LAG_NS and not every):
             break
         j = oldest
-        one = slice(1 + j, 2 + j)
-        rk.step_without_slope(net, par[one], finger[one], work, behind * 1e-9, force)
+        _step(model, j + 1, behind * 1e-9, force)
         sensitivities.stamp[j] = stamp
-        update_sensitivity(finger, sensitivities, j)
+        update_sensitivity(model.states, sensitivities, j)
 
 
 @njit(cache=True)
-def evaluate(net, par, finger, work, sensitivities, force):
+def evaluate(model, sensitivities, force):
     """Outputs and sensitivities at `force` (N) after `set_constants`; no time passes."""
     for j in range(1 + DIRECTIONS):
         one = slice(j, j + 1)
-        rk.step(net, par[one], finger[one], work, 0.0, force)
+        rk.step(model.networks, model.constants[one], model.states[one], model.work, 0.0, force)
     for j in range(DIRECTIONS):
-        update_sensitivity(finger, sensitivities, j)
+        update_sensitivity(model.states, sensitivities, j)
 
 
 @njit(cache=True)
-def reset(net, par, finger, work):
+def reset(model):
     """Put the finger and its copies at rest."""
     for j in range(1 + DIRECTIONS):
-        rk.rest(net, par[j : j + 1], finger[j : j + 1], work)
+        one = slice(j, j + 1)
+        rk.rest(model.networks, model.constants[one], model.states[one], model.work)
 
 
 @njit(cache=True, nogil=True)
-def simulate(net, par, finger, work, sensitivities, before, time, force, table):
+def simulate(model, sensitivities, before, time, force, table):
     """Area (m²), indentation (m), peak pressure (Pa) and both sensitivities (n, 9) along a future.
 
     All copies go along with the finger from `before` (s); time (n,) in s, force (n,) in N;
@@ -163,16 +171,15 @@ def simulate(net, par, finger, work, sensitivities, before, time, force, table):
     first = len(time)
     for i in range(len(time)):
         for j in range(1 + DIRECTIONS):
-            one = slice(j, j + 1)
-            rk.step_without_slope(net, par[one], finger[one], work, time[i] - before, force[i])
-        if finger[0].failed:
+            _step(model, j, time[i] - before, force[i])
+        if model.states[0].failed:
             first = min(first, i)
         before = time[i]
-        table[i, 0] = finger[0].area
-        table[i, 1] = finger[0].indentation
-        table[i, 2] = finger[0].peak_pressure
+        table[i, 0] = model.states[0].area
+        table[i, 1] = model.states[0].indentation
+        table[i, 2] = model.states[0].peak_pressure
         for j in range(DIRECTIONS):
-            update_sensitivity(finger, sensitivities[0], j)
+            update_sensitivity(model.states, sensitivities[0], j)
             table[i, 3 + j] = sensitivities[0].area[j]
             table[i, 3 + DIRECTIONS + j] = sensitivities[0].indentation[j]
     return first

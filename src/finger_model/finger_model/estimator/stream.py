@@ -235,18 +235,18 @@ def _update_contact(config, state, normal_force, stamp, silent):
 
 
 @njit(cache=True)
-def _limit(par, finger):
+def _limit(model):
     """Force (N) up to which the model knows the contact: the force that it holds where it cannot
     follow."""
-    if finger.failed:
-        return max(finger.force, area_filter.LEAST_FORCE)
-    return par.force_limit
+    if model.states[0].failed:
+        return max(model.states[0].force, area_filter.LEAST_FORCE)
+    return model.constants[0].force_limit
 
 
 @njit(cache=True)
-def _is_beyond(par, finger, normal_force):
+def _is_beyond(model, normal_force):
     """Whether the model holds another force than this one (N)."""
-    return finger.failed != 0 or normal_force > par.force_limit
+    return model.states[0].failed != 0 or normal_force > model.constants[0].force_limit
 
 
 @njit(cache=True)
@@ -377,16 +377,16 @@ def _fuse(config, state, stamp, area, sd, limit):
 
 
 @njit(cache=True)
-def _apply_constants(net, base, par, finger, work, state):
-    """Constants of the finger and its perturbed copies from `base`."""
+def _apply_constants(model, state):
+    """Constants of the finger and its perturbed copies from `model.base`."""
     if state.contact.constants_outdated:
         state.contact.constants_outdated = False
         for j in range(1 + sensitivities.DIRECTIONS):
             # The states are of these.
-            before = par[j].fraction.copy()
-            par[j] = base[0]
-            par[j].fraction[:] = before
-    sensitivities.set_constants(net, base, par, finger, work, state.sensitivities)
+            before = model.constants[j].fraction.copy()
+            model.constants[j] = model.base[0]
+            model.constants[j].fraction[:] = before
+    sensitivities.set_constants(model, state.sensitivities)
 
 
 @njit(cache=True)
@@ -404,7 +404,7 @@ def _update_noise(stream, stamp, normal, a, b):
 
 
 @njit(cache=True)
-def _advance_model(net, base, par, finger, work, config, state, stamp, normal_force):
+def _advance_model(model, config, state, stamp, normal_force):
     """Reduced model to a valid sample; the contact and the remembered samples follow."""
     stream = state.stream
     dt = 0.0
@@ -414,30 +414,28 @@ def _advance_model(net, base, par, finger, work, config, state, stamp, normal_fo
         state.sensitivities.stamp[:] = stamp - 1
     stream.model_stamp = stamp
     stream.started = True
-    rk.step(net, par, finger, work, dt, normal_force)
-    lost = finger[0].failed != 0 or not math.isfinite(finger[0].indentation)
+    rk.step(model.networks, model.constants[:1], model.states[:1], model.work, dt, normal_force)
+    lost = model.states[0].failed != 0 or not math.isfinite(model.states[0].indentation)
     if normal_force < config.liftoff_force and lost:
         # A model that could not follow a contact starts again from rest in the air.
-        sensitivities.reset(net, par, finger, work)
+        sensitivities.reset(model)
         state.sensitivities.stamp[:] = stamp
     begins = _update_contact(config, state, normal_force, stamp, dt > SILENCE)
     if begins:
         # What the last contacts told of the finger moves the model itself, so that sensitivities
         # are those of this finger.
-        sensitivities.advance_perturbed(
-            net, par, finger, work, state.sensitivities, stamp, normal_force, True
-        )
+        sensitivities.advance_perturbed(model, state.sensitivities, stamp, normal_force, True)
         sensitivities.set_shift(state.sensitivities, state.filters.start[area_filter.TISSUE])
-        _apply_constants(net, base, par, finger, work, state)
-        sensitivities.evaluate(net, par, finger, work, state.sensitivities, normal_force)
+        _apply_constants(model, state)
+        sensitivities.evaluate(model, state.sensitivities, normal_force)
     else:
-        sensitivities.advance_perturbed(
-            net, par, finger, work, state.sensitivities, stamp, normal_force, False
-        )
-    area_filter.record_peak_load(state.filters, min(normal_force, _limit(par[0], finger[0])))
-    _check_force_limit(state, _is_beyond(par[0], finger[0], normal_force), stamp)
-    gain, _ = _pose_gain(config, finger[0].area)
-    _remember(state.memory, stamp, normal_force, gain * finger[0].area, state.sensitivities.area)
+        sensitivities.advance_perturbed(model, state.sensitivities, stamp, normal_force, False)
+    area_filter.record_peak_load(state.filters, min(normal_force, _limit(model)))
+    _check_force_limit(state, _is_beyond(model, normal_force), stamp)
+    gain, _ = _pose_gain(config, model.states[0].area)
+    _remember(
+        state.memory, stamp, normal_force, gain * model.states[0].area, state.sensitivities.area
+    )
 
 
 @njit(cache=True)
@@ -537,13 +535,12 @@ def _write_moisture(config, stamp, row):
 
 
 @njit(cache=True)
-def process(net, base, par, finger, work, configuration, states, stamps, forces, areas, rows):
+def process(model, configuration, states, stamps, forces, areas, rows):
     """Process wrench samples of increasing stamps, and the measured areas that come due.
 
-    net, base (1,), par (4,), finger (4,), work: records of the reduced model, par and finger those
-    of `sensitivities`; configuration (1,), states (1,): CONFIGURATION, STATE; stamps (n,), forces
-    (n, 3): ns, N; areas (k,): AREA in the order of their stamps, all due by the last sample. Fills
-    rows (n,) of ESTIMATE_DTYPE but for `parameter_set`.
+    model: ModelRecords with the copies of `sensitivities`; configuration (1,), states (1,):
+    CONFIGURATION, STATE; stamps (n,), forces (n, 3): ns, N; areas (k,): AREA in the order of their
+    stamps, all due by the last sample. Fills rows (n,) of ESTIMATE_DTYPE but for `parameter_set`.
     """
     config, state = configuration[0], states[0]
     stream = state.stream
@@ -562,9 +559,9 @@ def process(net, base, par, finger, work, configuration, states, stamps, forces,
             state.counters.gaps += 1
         stream.last_stamp = stamp
         if valid:
-            _advance_model(net, base, par, finger, work, config, state, stamp, normal_force)
+            _advance_model(model, config, state, stamp, normal_force)
             _update_noise(state.stream, stamp, normal_force, a, b)
-            if _is_beyond(par[0], finger[0], normal_force):
+            if _is_beyond(model, normal_force):
                 flags |= FLAG.FORCE_OUT_OF_RANGE
             if (
                 lateral_force > config.lateral_ratio * max(normal_force, 0.0)
@@ -573,18 +570,18 @@ def process(net, base, par, finger, work, configuration, states, stamps, forces,
                 flags |= FLAG.LATERAL_LOAD
         else:
             flags |= FLAG.FORCE_INVALID
-        limit = _limit(par[0], finger[0])  # of the finger that an onset may have moved
+        limit = _limit(model)  # of the finger that an onset may have moved
         while used < len(areas) and areas[used].stamp + config.fusion_delay <= stamp:
             area = areas[used]
             if not _fuse(config, state, area.stamp, area.area, area.sd, limit):
                 state.counters.rejected_areas += 1
                 flags |= FLAG.AREA_REJECTED
             used += 1
-        failed = not math.isfinite(finger[0].area)
+        failed = not math.isfinite(model.states[0].area)
         if valid and failed:
             flags |= FLAG.MODEL_FAILED
         if valid and not failed:
-            _write_contact(config, state, finger[0], normal_force, limit, stamp, row)
+            _write_contact(config, state, model.states[0], normal_force, limit, stamp, row)
         else:
             _write_unknown(row)
         if state.filters.mismatch:
@@ -603,14 +600,14 @@ def process(net, base, par, finger, work, configuration, states, stamps, forces,
 
 
 @njit(cache=True)
-def initialise_filters(net, base, par, finger, work, configuration, states):
+def initialise_filters(model, configuration, states):
     """Filters and model as for a finger not seen before, with no area fused."""
     config, state = configuration[0], states[0]
     for bank in (state.filters, state.before):
         area_filter.initialise(bank, config.noise, config.moisture_stamp)
     state.contact.has_fused = False
     sensitivities.set_shift(state.sensitivities, state.filters.start[area_filter.TISSUE])
-    _apply_constants(net, base, par, finger, work, state)
+    _apply_constants(model, state)
 
 
 @njit(cache=True)
@@ -632,19 +629,19 @@ def _fused_error(config, state, finger, limit, bounded):
 
 
 @njit(cache=True)
-def held_area(par, finger, configuration, states):
+def held_area(model, configuration, states):
     """Logarithm of the fused area (m²) that was measured in this contact; NaN without one."""
     config, state = configuration[0], states[0]
-    if not (state.contact.touching and state.filters.measured and finger[0].area > 0.0):
+    if not (state.contact.touching and state.filters.measured and model.states[0].area > 0.0):
         return math.nan
-    gain, _ = _pose_gain(config, finger[0].area)
-    error = _fused_error(config, state, finger[0], _limit(par[0], finger[0]), True)
-    return math.log(gain * finger[0].area) + error
+    gain, _ = _pose_gain(config, model.states[0].area)
+    error = _fused_error(config, state, model.states[0], _limit(model), True)
+    return math.log(gain * model.states[0].area) + error
 
 
 @njit(cache=True)
-def change_parameters(net, base, par, finger, work, configuration, states, held):
-    """Let the model have changed constants `base`, or another pose; held: `held_area` before.
+def change_parameters(model, configuration, states, held):
+    """Let the model have changed constants `model.base`, or another pose; held: `held_area` before.
 
     A contact of which an area was measured goes on with the constants it has until it ends: they
     tell no more of it than the area does, and tissue does not relax anew when it is asked how moist
@@ -653,42 +650,42 @@ def change_parameters(net, base, par, finger, work, configuration, states, held)
     config, state = configuration[0], states[0]
     state.contact.constants_outdated = True
     if math.isnan(held):
-        _apply_constants(net, base, par, finger, work, state)
+        _apply_constants(model, state)
         return
     memory = state.memory
-    gain, _ = _pose_gain(config, finger[0].area)
+    gain, _ = _pose_gain(config, model.states[0].area)
     # Areas that are under way are compared with the model as it is now.
-    moved = math.log(gain * finger[0].area / memory.area[(memory.next - 1) % REMEMBERED])
+    moved = math.log(gain * model.states[0].area / memory.area[(memory.next - 1) % REMEMBERED])
     memory.area[:] *= math.exp(moved)
-    error = _fused_error(config, state, finger[0], _limit(par[0], finger[0]), False)
-    own = held - math.log(gain * finger[0].area) - error
+    error = _fused_error(config, state, model.states[0], _limit(model), False)
+    own = held - math.log(gain * model.states[0].area) - error
     area_filter.shift_contact(state.filters, own, -moved)
 
 
 @njit(cache=True)
-def begin_contact(net, base, par, finger, work, configuration, states):
+def begin_contact(model, configuration, states):
     """Filters and model as at an onset now; all of these records are copies, of a finger in the
     air."""
     config, state = configuration[0], states[0]
     area_filter.begin_contact(state.filters, config.noise, state.stream.last_stamp)
     sensitivities.set_shift(state.sensitivities, state.filters.start[area_filter.TISSUE])
-    _apply_constants(net, base, par, finger, work, state)
+    _apply_constants(model, state)
 
 
 @njit(cache=True)
-def predicted(net, par, finger, work, scratch, configuration, states, time, force, table):
+def predicted(model, scratch, configuration, states, time, force, table):
     """Fused area (m²), indentation (m) and peak pressure (Pa) (n, 3) under a future force.
 
-    finger (4,) goes along, scratch (1,) is of SENSITIVITIES; time (n,) in s from now, force (n,) in
+    model.states go along, scratch (1,) is of SENSITIVITIES; time (n,) in s from now, force (n,) in
     N. NaN from the first row on that the model cannot follow.
     """
     config, state = configuration[0], states[0]
     filters, noise = state.filters, config.noise
     found = np.empty((len(time), 3 + 2 * sensitivities.DIRECTIONS))
-    first = sensitivities.simulate(net, par, finger, work, scratch, 0.0, time, force, found)
+    first = sensitivities.simulate(model, scratch, 0.0, time, force, found)
     found[first:, :3] = math.nan
     h = np.empty(area_filter.STATES)
-    gain, limit = area_filter.GAIN_OF_INDENTATION, par[0].force_limit
+    gain, limit = area_filter.GAIN_OF_INDENTATION, model.constants[0].force_limit
     for i in range(len(time)):
         table[i] = found[i, :3]
         if found[i, 0] > 0.0:

@@ -106,6 +106,20 @@ DELTA_FLOOR = 0.01
 """Smallest δ/L that counts for the friction state."""
 
 
+class ModelRecords(NamedTuple):
+    """Records of a model that runs, and of its perturbed copies.
+
+    networks, work (1,); base (1,): constants of the parameters in use; constants, states (n,): of
+    the finger itself and its copies, derived from `base`.
+    """
+
+    networks: np.ndarray
+    base: np.ndarray
+    constants: np.ndarray
+    states: np.ndarray
+    work: np.ndarray
+
+
 class RecordTypes(NamedTuple):
     """Structured dtypes of the kernels' records."""
 
