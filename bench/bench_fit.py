@@ -92,7 +92,8 @@ def run(report: Any) -> None:
             f"one condition with everything: {time.perf_counter() - start:.1f} s; its parts "
             "follow, times three for a study"
         )
-        for stage in ("grid", "polish", "full order", "profiles", "bias", "bootstrap"):
+        stages = ("grid", "polish", "correction to full order", "check against full order")
+        for stage in (*stages, "profiles", "bias", "bootstrap"):
             if stage in result.seconds:
                 report.add(f"fit_{stage.replace(' ', '_')}", result.seconds[stage], "s")
         report.note(

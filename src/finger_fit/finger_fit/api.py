@@ -44,7 +44,7 @@ from .fingers import Fingers, GeometrySource, by_subject
 from .options import FitOptions
 from .problem import force_limit_of
 from .problem.trials import smoothed
-from .report_units import interval_text
+from .report_units import CUT_NOTE, interval_text
 from .results import ConditionFit, Finger, FitResult, QuantityResult, check_folder, write
 from .study import draw, fit_records, provenance
 
@@ -510,10 +510,8 @@ class Fit:
 
     def summary(self) -> str:
         """A table of the parameters as text: 95 % intervals, and those from the data alone."""
-        lines = [
-            "95 % intervals; data: from the data alone, lengths and gain as assumed; "
-            "≤: end of the search box"
-        ]
+        lines = ["95 % intervals; data: from the data alone, with lengths and gain as assumed"]
+        any_cut = False
         for name, found in self.result.fits.items():
             lines.append(f"{name or 'all'} ({len(found.problem)} presses): {found.status}")
             for quantity in map(found.space.describe, found.space.quantity_names):
@@ -523,10 +521,11 @@ class Fit:
                     ("data ", known.data_interval, known.data_cut),
                 ):
                     if not np.isnan(ends[0]):
+                        any_cut |= any(cut)
                         span += f"  {word}[{interval_text(map(quantity.text, ends), cut, ', ')}]"
                 text = quantity.text(known.value)
                 lines.append(f"  {quantity.name:12} {text:>9}{span} {quantity.display_unit}")
-        return "\n".join(lines)
+        return "\n".join([*lines, CUT_NOTE] if any_cut else lines)
 
     def plot(self, name: str = "area_over_force") -> Figure:
         """A figure of the report: area_over_force, residuals, profiles, candidates, …

@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +32,7 @@ from finger_common.progress import Stages
 from .fingers import Fingers, geometry_files
 from .nuisance_names import name_of
 from .options import FitOptions
-from .report_units import MM4, interval_text, three_digits
+from .report_units import CUT_NOTE, MM4, interval_text, three_digits
 from .results import ConditionFit, FitResult
 from .study import fit_bags, reading
 
@@ -144,11 +144,31 @@ def headline_intervals(fit: ConditionFit) -> str:
         f"{interval_text(map(headline.text, e), cut, ' to ')} {headline.display_unit}"
         for e, cut in ends
     )
-    marks = " (≤: end of the search box)" if any(found.cut + found.data_cut) else ""
     return (
         f"{headline.symbol} {whole} (95 %); from the data alone, with lengths and gain as assumed, "
-        f"{part}{marks}"
+        f"{part}"
     )
+
+
+def unknowns(fits: Mapping[str, ConditionFit]) -> Iterator[str]:
+    """What the data do not tell of the nuisances, a sentence for conditions with the same."""
+    for found, text in (
+        (
+            lambda nuisance: nuisance.not_estimated,
+            "{names}: the data say little about {words}. Their assumed uncertainty is part of the "
+            "interval.",
+        ),
+        (
+            lambda nuisance: nuisance.left_out,
+            "{names}: the interval does not allow for an error of {words}.",
+        ),
+    ):
+        conditions: dict[str, list[str]] = {}
+        for name, fit in fits.items():
+            if fit.nuisance is not None and (unknown := found(fit.nuisance)):
+                conditions.setdefault(", ".join(map(name_of, unknown)), []).append(plain(name))
+        for words, names in conditions.items():
+            yield text.format(names=", ".join(names), words=words)
 
 
 def command(argv: Sequence[str] | None = None) -> int:
@@ -208,13 +228,11 @@ def command(argv: Sequence[str] | None = None) -> int:
             print(f"{plain(name)}: on a bound of the search box: {symbols}")
         for reason in fit.reasons:
             print(f"{plain(name)}: {fit.status}: {plain(reason)}")
-    unknown: dict[str, list[str]] = {}
-    for name, fit in result.fits.items():
-        if fit.nuisance is not None and fit.nuisance.unknown:
-            words = ", ".join(map(name_of, fit.nuisance.unknown))
-            unknown.setdefault(words, []).append(plain(name))
-    for words, names in unknown.items():
-        print(f"{', '.join(names)}: not estimated by these data: {words}; see the report")
+    headlines = [fit.found(fit.space.headline) for fit in result.fits.values()]
+    if any(any(found.cut + found.data_cut) for found in headlines):
+        print(CUT_NOTE)
+    for sentence in unknowns(result.fits):
+        print(sentence)
     page = Path(args.output) / "report.html"
     print(f"report: {plain(page)}")
     if browser:

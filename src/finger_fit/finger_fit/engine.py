@@ -27,7 +27,12 @@ from finger_common.processes import begin_worker
 
 Work = Callable[[Any, Any], Any]
 Done = Callable[[int, int], None]
-"""Called with the number of items done and their total."""
+"""Called with the number of items done, from 0, and their total."""
+
+
+def _begin(done: Done | None, items: Sequence[Any]) -> None:
+    if done is not None and items:
+        done(0, len(items))
 
 
 def available_cores() -> int:
@@ -56,6 +61,7 @@ class LocalEngine:
     ) -> list[Any]:
         """Results of function(shared, item), in order."""
         results = []
+        _begin(done, items)
         for number, item in enumerate(items, 1):
             results.append(function(shared, item))
             if done is not None:
@@ -73,6 +79,7 @@ class LocalEngine:
         context = multiprocessing.get_context("spawn")
         results = []
         job = pickle.dumps((function, shared))
+        _begin(done, items)
         with TemporaryDirectory() as folder:
             # In a file: a worker that ends before it has read it must not block this process.
             path = Path(folder) / "job.pickle"
@@ -172,6 +179,7 @@ class DaskEngine:
             for item in items
         ]
         try:
+            _begin(done, items)
             if done is not None:
                 for number, _ in enumerate(as_completed(futures), 1):
                     done(number, len(items))

@@ -30,9 +30,12 @@ def three_digits(value: float) -> str:
     return f"{rounded:.{max(digits, 0)}f}"
 
 
+CUT_NOTE = "* The search box ends here. The data do not limit the value on this side."
+
+
 def interval_text(ends: Iterable[str], cut: Sequence[bool], between: str) -> str:
-    """Both ends of an interval; ≤ stands beside those where the search box cuts it off."""
-    return "≤ " * cut[0] + between.join(ends) + " ≤" * cut[1]
+    """Both ends of an interval; a * marks those where the search box cuts it off (`CUT_NOTE`)."""
+    return between.join(end + "*" * at_box for end, at_box in zip(ends, cut, strict=True))
 
 
 def minus(text: str) -> str:

@@ -204,7 +204,7 @@ def slow_fit(ros_domain: int, monkeypatch: pytest.MonkeyPatch) -> Any:
     def fit_bags(*arguments: Any) -> Any:
         begun.set()
         assert let_go.wait(100)
-        arguments[-1]("natural", "full order", 1, 1, 0.0, [])
+        arguments[-1]("natural", "check against full order", 1, 1, 0.0, [])
 
     monkeypatch.setattr(fit_node, "fit_bags", fit_bags)
     context = rclpy.Context()

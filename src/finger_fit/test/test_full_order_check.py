@@ -46,7 +46,9 @@ def test_correction_undoes_the_bias_of_the_reduced_model(biased, double) -> None
     problem = biased
     plain = refine(problem, all_free(problem), double.TRUTH)
     before = abs(np.log(plain.parameters / double.TRUTH))
-    fit, correction = correct(problem, plain.parameters, double.Exact(), rounds=4)
+    passes: list[int] = []
+    fit, correction = correct(problem, plain.parameters, double.Exact(), 4, passes.append)
+    assert passes == [*range(1, correction.rounds + 1)]
     after = abs(np.log(fit.parameters / double.TRUTH))
     assert after.max() < 0.02 < before.max()
     assert fit.cost * MM4 < 0.05 < plain.cost * MM4

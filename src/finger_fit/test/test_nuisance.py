@@ -8,12 +8,14 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.optimize import minimize
 
 from finger_common.errors import InputError
+from finger_fit.cli import unknowns
 from finger_fit.full_order import FullOrder
 from finger_fit.nuisance.estimate import NuisanceModel
 from finger_fit.nuisance.geometry import (
@@ -29,7 +31,7 @@ from finger_fit.problem import FitProblem, Goal, Nuisance, Nuisances, prepare_al
 from finger_fit.report_units import MM4
 from finger_fit.results import fit_dict
 from finger_fit.search import all_free, refine
-from finger_fit.study import fit_records
+from finger_fit.study import fit_condition, fit_records
 from finger_fit.uncertainty import bias_pair, covariance, in_interval
 from finger_model.geometry import Geometry
 from finger_model.laws import StandardLinearSolid
@@ -383,6 +385,26 @@ def test_lengths_widen_the_interval_but_not_that_from_the_data(double) -> None:
     )
 
 
+def test_progress_names_each_stage_from_its_beginning_and_ends_at_the_j_of_the_result(
+    double,
+) -> None:
+    options = FitOptions(grid=2, rounds=5, bootstrap=0, bias_pairs=2)
+    records = presses(double, number=4, lag=0.03, gains=[0.9, 1.1, 0.95, 1.05])
+    told: list[tuple[str, int, float]] = []
+
+    def progress(condition: str, stage: str, number: int, rounds: int, cost: float, _: Any) -> None:
+        told.append((stage, number, cost))
+
+    problem = FitProblem(prepare_all(records, options)[0], double.HereditaryModel(), options)
+    fit = fit_condition(problem, report=progress, better=double.Exact())
+    stages = dict.fromkeys(stage for stage, *_ in told)
+    assert list(stages)[:4] == ["grid", "pso", "polish", "nuisances"]
+    begun = {stage for stage, number, _ in told if number == 0}
+    assert begun >= {"polish", "nuisances", "sensitivities", "profiles", "bias"}
+    assert fit.objective != pytest.approx(fit.cost, rel=0.01), "what is minimised is not J"
+    assert {cost for stage, _, cost in told if stage in ("sensitivities", "bias")} == {fit.cost}
+
+
 def test_a_fit_names_what_it_cannot_estimate(double, tmp_path) -> None:
     options = FitOptions(grid=2, rounds=5, full_order=False, bootstrap=0, bias_pairs=2)
     records = presses(double, number=4, lag=0.03)
@@ -394,6 +416,11 @@ def test_a_fit_names_what_it_cannot_estimate(double, tmp_path) -> None:
     assert block["values"][LAG]["value"] == pytest.approx(0.03, abs=0.01)
     assert "area_gain" in block["not_estimated"]
     assert "epidermis_thickness" in block["left_out"], "without the full order"
+    little, none = unknowns({"dry": fit, "natural": fit})
+    assert little.startswith("dry, natural: the data say little about ")
+    assert "gain of all areas" in little and "lag of the images" not in little
+    assert none.startswith("dry, natural: the interval does not allow for an error of ")
+    assert "epidermis thickness" in none and "gain of all areas" not in none
     assert len(block["presses"]) == 4
     assert all(press["tare_measured"] for press in block["presses"].values())
     parts = block["sd_log_parts"]["composite_E"]

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -91,7 +92,7 @@ def correct(
     best: np.ndarray,
     better: BetterModel,
     rounds: int = 3,
-    done: Done | None = None,
+    done: Callable[[int], Done] | None = None,
 ) -> tuple[LocalFit, Correction]:
     """Refit with areas corrected to a better model around the best parameters (N,).
 
@@ -100,7 +101,7 @@ def correct(
     polished, and the ratio renewed at the result. The slope matters as much as the ratio: in the
     direction of E0 against E1 of the default law, the reduced model's error changes as fast as the
     area does, and a fit with the ratio alone stays where it started. The problem keeps the last
-    correction.
+    correction. done: gives the callback of a pass, from 1.
     """
     space = problem.space
 
@@ -115,7 +116,7 @@ def correct(
         used += 1
         if moved(start, slope_at) > FAR:
             slope, slope_at = None, start
-        correction = correction_around(problem, start, better, slope, done)
+        correction = correction_around(problem, start, better, slope, done and done(used))
         problem.correction, slope = correction, correction.slope
         fit = refine(problem, all_free(problem), start)
         change, start = moved(fit.parameters, start), fit.parameters

@@ -71,11 +71,6 @@ class NuisanceResult:
         """The nuisances of which the data tell no more than the prior."""
         return [name for name, found in self.values.items() if not found.estimated]
 
-    @property
-    def unknown(self) -> list[str]:
-        """All that a reader of the result must know of otherwise."""
-        return [*self.not_estimated, *self.left_out]
-
     def to_dict(self) -> dict[str, object]:
         """Make the entry of fit.json."""
         return {

@@ -13,7 +13,7 @@ import numpy as np
 
 from finger_model.laws import ParameterSpace
 
-from ..report_units import three_digits
+from ..report_units import CUT_NOTE, three_digits
 from ..results import ConditionFit, FitResult, QuantityResult
 from .markup import area_cost, headings, listing, show, span, table
 
@@ -52,7 +52,7 @@ def parameters(result: FitResult) -> str:
             cells = [_corrected(space, name, found) for name, found in quantities.items()]
             rows.append(["<i class=corrected>bias-corrected</i>", "", *cells, "", "", ""])
     note = (
-        f"Estimates{_intervals(result)}. <sup>†</sup> The estimate lies on a bound of the search "
+        f"Estimates{_intervals(result)} <sup>†</sup> The estimate lies on a bound of the search "
         "box. <i>J</i>: cost of the fit; Δ<i>J</i>: cost of the power law less that of the model; "
         "above 0, the model fits better."
     )
@@ -90,16 +90,13 @@ def _intervals(result: FitResult) -> str:
     found = [fit.found(name) for fit in result.fits.values() for name in names]
     profiled = [q.identifiable is not None for q in found if not math.isnan(q.interval[0])]
     if not profiled:
-        return ""
+        return "."
     if all(profiled):
-        return " with 95 % intervals by profile likelihood; ≤: the interval extends to the bound"
+        return f" with 95 % intervals by profile likelihood. {CUT_NOTE}"
     source = "from the covariance (no profiles were computed)"
     if any(profiled):
         source = "by profile likelihood and, where there is no profile, from the covariance"
-    return (
-        f" with 95 % intervals {source}, cut off at the search box: where ≤ stands, the true "
-        "interval may be wider"
-    )
+    return f" with 95 % intervals {source}. {CUT_NOTE}"
 
 
 def _has_assumed(fit: ConditionFit) -> bool:

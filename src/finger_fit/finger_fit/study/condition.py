@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -108,9 +108,7 @@ class _Stages:
         """Grid, PSO and power law; "interrupted" where grid or PSO did not end."""
         problem, options, progress = self.problem, self.options, self.progress
         with progress.timed("grid"):
-            grid = search_grid(
-                problem.cost, self.coordinates, options.grid, progress.rounds("grid")
-            )
+            grid = search_grid(problem.cost, self.coordinates, options.grid, self.improving("grid"))
         self.start = best_points(grid, options.particles)
         with progress.timed("pso"):
             pso = (
@@ -151,7 +149,7 @@ class _Stages:
             self.options.seed,
             None if self.folder is None else self.folder / file,
             self.options.resume,
-            self.progress.rounds(optimizer),
+            self.improving(optimizer),
             self.problem.key(),
         )
 
@@ -159,14 +157,13 @@ class _Stages:
         """Polish the best candidate, and let the other optimisers check it."""
         problem, progress = self.problem, self.progress
         if self.options.polish:
-            with progress.timed("polish"):
+            with progress.step("polish"):
                 fit.polish = polish(problem, fit.parameters, self.start)
                 if problem.indentations is not None:
                     problem.weigh(residual_noise(problem, fit.polish.parameters))
                     fit.polish = polish(problem, fit.polish.parameters, self.start)
-            if problem.indentations is not None or fit.polish.cost < fit.objective:
-                fit.parameters, fit.objective = fit.polish.parameters, fit.polish.cost
-            progress.rounds("polish")(1, 1, fit.objective, fit.parameters)
+                if problem.indentations is not None or fit.polish.cost < fit.objective:
+                    self.take(fit, fit.polish)
         with progress.timed("cross-checks"):
             others = [name for name in self.options.optimizer if name != "pso"]
             fit.cross_checks = [self.cross_check(fit, name) for name in others]
@@ -180,11 +177,15 @@ class _Stages:
             starts = np.vstack([fit.parameters, self.start[:2]])
             settled = self.settle(fit, model, starts, ROUNDS if self.reduced else 1)
         if self.better is not None and options.correct and self.reduced:
-            with progress.timed("full order"), self.whole():
+            stage = "correction to full order"
+            with progress.timed(stage), self.whole():
                 found, fit.correction = correct(
-                    problem, fit.parameters, self.better, done=progress.count("full order")
+                    problem,
+                    fit.parameters,
+                    self.better,
+                    done=lambda number: progress.count(f"{stage}, pass {number}"),
                 )
-            fit.parameters, fit.objective = found.parameters, found.cost
+            self.take(fit, found)
             if model is not None:
                 settled = self.settle(fit, model, fit.parameters[None], ROUNDS)
         if settled is not None:
@@ -196,10 +197,23 @@ class _Stages:
         self, fit: ConditionFit, model: NuisanceModel, starts: np.ndarray, rounds: int
     ) -> Settled:
         """Fit from parameters (C, N) with the nuisances eliminated."""
-        with self.progress.timed("nuisances"), self.whole():
-            settled = model.settle(starts, rounds)
-        fit.parameters, fit.objective = settled.fit.parameters, settled.fit.cost
+        with self.progress.step("nuisances"):
+            with self.whole():
+                settled = model.settle(starts, rounds)
+            self.take(fit, settled.fit)
         return settled
+
+    def take(self, fit: ConditionFit, found: LocalFit) -> None:
+        """Let a fit be at a minimum that was found, of the problem as it is."""
+        fit.parameters, fit.objective = found.parameters, found.cost
+        self.progress.improved(self.problem.area_cost(fit.parameters), fit.parameters)
+
+    def improving(self, stage: str) -> Callable[[int, int, float, np.ndarray], None]:
+        """Callback of a search, which shows J, also where indentations are minimised beside it."""
+        update, problem = self.progress.rounds(stage), self.problem
+        if problem.indentations is None:
+            return update
+        return lambda number, rounds, _, best: update(number, rounds, problem.area_cost(best), best)
 
     def assess(self, fit: ConditionFit, settled: Settled | None, without: np.ndarray) -> None:
         """Compute covariance, full-order check, profiles, bias and bootstrap of a fit.
@@ -209,15 +223,16 @@ class _Stages:
         problem, options, progress = self.problem, self.options, self.progress
         fit.cost = problem.area_cost(fit.parameters)
         fit.top, fit.top_costs = top_candidates(fit, options.top)
-        with progress.timed("sensitivities"):
+        with progress.step("sensitivities"):
             fit.covariance = covariance(problem, fit.parameters)
         if settled is not None:
             allowed = settled.nuisances.names
             left_out = tuple(name for name in problem.lengths if name not in allowed)
             fit.nuisance = nuisance_result(problem, settled, fit.covariance, left_out, without)
         if self.better is not None and self.reduced:
-            with progress.timed("full order"):
-                fit.full_order = check(problem, fit.top, self.better, progress.count("full order"))
+            stage = "check against full order"
+            with progress.timed(stage):
+                fit.full_order = check(problem, fit.top, self.better, progress.count(stage))
             fit.reasons = fit.full_order.reasons
         if self.better is not None:
             fit.status = "not final" if fit.reasons else "final"

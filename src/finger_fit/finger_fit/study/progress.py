@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 Report = Callable[[str, str, int, int, float, np.ndarray], None]
-"""Called with condition, stage, round from 1, rounds, best J (m⁴) and best parameters (N,); raises
-Stopped to end the fit."""
+"""Called with condition, stage, round (0 where a stage begins), rounds, J (m⁴) of the best and its
+parameters (N,); raises Stopped to end the fit."""
 
 
 class Progress:
@@ -36,11 +36,24 @@ class Progress:
             spent = time.perf_counter() - start
             self.seconds[stage] = self.seconds.get(stage, 0.0) + spent
 
+    @contextlib.contextmanager
+    def step(self, stage: str) -> Iterator[None]:
+        """Time a stage that has no rounds, and show its beginning and its end."""
+        done = self.count(stage)
+        with self.timed(stage):
+            done(0, 1)
+            yield
+        done(1, 1)
+
+    def improved(self, cost: float, best: np.ndarray) -> None:
+        """What the stages show from now on: J (m⁴) and parameters (N,) of the best."""
+        self._cost, self._best = cost, best
+
     def rounds(self, stage: str) -> Callable[[int, int, float, np.ndarray], None]:
         """Callback of a stage that improves the best: round, rounds, best cost, best parameters."""
 
         def update(number: int, rounds: int, cost: float, best: np.ndarray) -> None:
-            self._cost, self._best = cost, best
+            self.improved(cost, best)
             if self._report is not None:
                 self._report(self.condition, stage, number, rounds, cost, best)
 
