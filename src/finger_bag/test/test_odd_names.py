@@ -139,7 +139,7 @@ def test_file_that_is_listed_twice_is_read_once(tmp_path: Path) -> None:
 def test_trial_whose_condition_is_no_name_is_left_out(condition: str, tmp_path: Path) -> None:
     path = write_session(tmp_path / "bag", trials=1, rate=100, condition=condition)
     found = load_trials(path)
-    assert not found.trials and "is no name" in found.exclusions[0].reason
+    assert not found.trials and "is not valid; use letters" in found.exclusions[0].reason
 
     assert "evil" not in {p.name for p in tmp_path.iterdir()}
 

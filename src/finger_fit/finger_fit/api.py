@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from finger_common.columns import column
+from finger_common.condition_name import check_condition_name
 from finger_common.errors import InputError, listed
 from finger_common.flags import AreaFlag
 from finger_common.stamps import NANOSECONDS
@@ -37,7 +38,7 @@ from finger_offline.trial_checks import (
     fault_of,
 )
 from finger_offline.trial_records import TrialRecord
-from finger_offline.trial_split import CONDITION, TrialSettings
+from finger_offline.trial_split import TrialSettings
 from finger_offline.unloaded import pressed_force, reached_force, unloaded_tare
 
 from .fingers import Fingers, GeometrySource, by_subject
@@ -355,9 +356,7 @@ def _code(value: Any, name: str) -> str:
     text = str(value).strip()
     if value is None or (not isinstance(value, str) and text in _MISSING):
         return ""
-    if not CONDITION.fullmatch(text):
-        raise InputError(f"{name} {text[:40]!r} is no name of letters, digits, blanks and .,+()%-")
-    return text
+    return check_condition_name(text, name)
 
 
 def _scalar(value: Any, name: str) -> Any:

@@ -430,8 +430,8 @@ def test_saved_tables_hold_what_was_found(result: Fit, tmp_path: Path) -> None:
         ({"target_force": 30.0}, r"target_force is 30 N, the press goes up to 1 N"),
         ({"target_force": "1 N"}, "target_force is '1 N'; give a number"),
         ({"index": "first"}, "index is 'first'; give a number"),
-        ({"condition": "dry/left"}, "condition 'dry/left' is no name"),
-        ({"subject": "../S01"}, r"subject '\.\./S01' is no name"),
+        ({"condition": "dry/left"}, "condition 'dry/left' is not valid"),
+        ({"subject": "../S01"}, r"subject '\.\./S01' is not valid"),
     ],
 )
 def test_bad_arrays_are_named(change: dict[str, Any], sentence: str) -> None:

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -23,7 +22,9 @@ from finger_bag.streams import (
     in_stamp_order,
 )
 from finger_common.axes import lateral_force, normal_force
+from finger_common.condition_name import check_condition_name
 from finger_common.contact_threshold import LIFTOFF_FORCE, ONSET_FORCE, check_thresholds, contacts
+from finger_common.errors import InputError
 from finger_common.flags import AreaFlag
 from finger_common.settings import setting
 from finger_common.stamps import nanoseconds, seconds
@@ -34,9 +35,6 @@ from .force_history import force_before
 from .image_settings import ImageSettings
 from .trial_records import Exclusion, TrialRecord, TrialSet
 from .unloaded import LARGEST_TARE, Unloaded, moved_plate, pressing_force
-
-CONDITION = re.compile(r"(?:\w[\w .,+()%-]{0,63})?")
-"""Names of conditions; they name files of a fit too, so none may lead to another folder."""
 
 PULLED = "pulled sideways: a trial for the friction, not for the area"
 
@@ -181,8 +179,10 @@ def split(
         reason = press.reason
         if not reason and not len(record.area_stamp_ns):
             reason = "no contact area during the press"
-        if not CONDITION.fullmatch(record.condition):
-            reason = f"condition {record.condition[:40]!r} is no name of letters, digits, blanks, -"
+        try:
+            check_condition_name(record.condition, "condition")
+        except InputError as error:
+            reason = str(error)
         if reason == PULLED:
             result.pulls.append(record)
         if reason:

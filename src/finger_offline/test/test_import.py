@@ -89,7 +89,7 @@ def test_dates_three_axes_tare_and_a_clock_that_differs(tmp_path: Path) -> None:
         ({"time_offset": 100.0}, r"no area during a press.*--time-offset"),
         ({"force_column": "Fz"}, r"'Fz' does not exist.*force_n.*--force-column"),
         ({"condition": ""}, r"no condition.*--condition"),
-        ({"subject": "../S01"}, r"subject .* is no name"),
+        ({"subject": "../S01"}, r"subject .* is not valid; use letters"),
         ({"moisture": ["1e9"]}, r"moisture '1e9' is no reading"),
         ({"area": ""}, r"give one of --area, --video and --images"),
         ({"area": "", "video": "v.mp4"}, r"--calibration .* or --area-per-pixel"),

@@ -45,7 +45,7 @@ def test_names_of_bags_in_a_table_of_trials(
 ) -> None:
     cells = [f'"{name}"', "S01", "dry", files["force"], files["area"]]
     (tmp_path / "t.csv").write_text("name,subject,condition,force,area\n" + ",".join(cells) + "\n")
-    with pytest.raises(InputError, match=r"row 2: .* is no name for a bag"):
+    with pytest.raises(InputError, match=r"row 2: bag .* is not valid; use letters"):
         command(["import", "-o", str(tmp_path / "no"), "--trials", str(tmp_path / "t.csv")])
     assert not (tmp_path / "no").exists()
 

@@ -5,32 +5,29 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Sequence
 
+from finger_common.condition_name import CASE_ALONE, SESSION_CONDITION, same_but_for_case
 from finger_common.errors import nearest
 from finger_common.guided_pulls import skin_of
-
-NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 
 def conditions_problem(names: Sequence[object]) -> str:
     """Why a session cannot have these conditions; empty when it can."""
     if not names:
         return "no condition is given; name at least one, such as natural"
-    seen: dict[str, str] = {}
+    texts = []
     for name in names:
-        if not isinstance(name, str) or not NAME.fullmatch(name):
+        if not isinstance(name, str) or not SESSION_CONDITION.fullmatch(name):
             return (
-                f"condition '{name}' is not a valid name; use letters, digits, - and _, and commas "
-                "between conditions"
+                f"condition '{str(name)[:40]}' is not valid in a session; use at most 64 letters, "
+                "digits, - and _, and commas between conditions"
             )
-        first = seen.setdefault(name.casefold(), name)
-        if first != name:
-            return (
-                f"conditions '{first}' and '{name}' differ in case alone; write one name in one way"
-            )
-    return "" if len(seen) == len(names) else "a condition is named twice; give each block once"
+        texts.append(name)
+    if twins := same_but_for_case(texts):
+        return f"conditions '{twins[0]}' and '{twins[1]}' {CASE_ALONE}"
+    unique = len(set(texts)) == len(texts)
+    return "" if unique else "a condition is named twice; give each block once"
 
 
 def new_conditions(names: Iterable[str], known: Iterable[str]) -> str:
@@ -43,7 +40,7 @@ def new_conditions(names: Iterable[str], known: Iterable[str]) -> str:
     sentences = []
     for name in names:
         skin = skin_of(name)
-        if not NAME.fullmatch(name) or skin in skins:
+        if not SESSION_CONDITION.fullmatch(name) or skin in skins:
             continue
         sentences.append(f"'{name}' is a new condition without a preparation text.")
         if near := nearest(skin.casefold(), folded):

@@ -26,6 +26,7 @@ from std_srvs.srv import Trigger
 
 from finger_bag.streams import TrialEvent
 from finger_common.cli import one_line
+from finger_common.condition_name import SESSION_CONDITION
 from finger_common.diagnostics import (
     ERROR,
     OK,
@@ -53,7 +54,6 @@ from finger_common.trial_phases import TrialPhase
 from finger_msgs.msg import ContactArea, Moisture, SessionStatus, Trial
 from finger_msgs.srv import Record
 
-from .conditions import NAME
 from .limits import Limits
 from .normal_force import NormalForce, normal_axis_setting, wrench_topic_setting
 from .protocol import Effect, Protocol
@@ -261,7 +261,7 @@ class ProtocolNode(ManagedNode):
             name = read_text(pointer).strip()
         except InputError:
             return
-        if not NAME.fullmatch(name) or not (self._output / name / STATE_FILE).exists():
+        if not SESSION_CONDITION.fullmatch(name) or not (self._output / name / STATE_FILE).exists():
             return
         try:
             self._protocol = Protocol.resume_from(

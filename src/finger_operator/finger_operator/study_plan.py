@@ -15,6 +15,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from finger_common.condition_name import SESSION_CONDITION
 from finger_common.errors import InputError
 from finger_common.guided_presses import CALIBRATION_PRESSES, PRESS_BY_NAME, GuidedPress
 from finger_common.guided_pulls import is_pull, press_before_pull, skin_of
@@ -22,7 +23,7 @@ from finger_common.settings import Settings, setting
 from finger_common.subject_code import FINGERS, HANDS, check_subject
 from finger_common.trial_phases import TARGET_FORCE
 
-from .conditions import NAME, conditions_problem
+from .conditions import conditions_problem
 from .trial_order import ORDERS, trial_conditions
 
 PREPARATIONS: dict[str, str] = {
@@ -126,7 +127,7 @@ class StudyPlan(PlanSettings):
 
     def validate(self) -> None:
         check_subject(self.subject)
-        if not NAME.fullmatch(self.session):
+        if not SESSION_CONDITION.fullmatch(self.session):
             raise InputError(
                 f"session '{self.session}' cannot be a folder's name; use letters, digits, - and _"
             )
@@ -202,6 +203,6 @@ def parse_preparations(lines: list[str]) -> dict[str, str]:
 def parse_preparation(line: str) -> tuple[str, str]:
     """Condition and text of a line "condition: text"; raises InputError for one of another form."""
     name, colon, text = line.partition(":")
-    if not colon or not NAME.fullmatch(name.strip()) or not text.strip():
+    if not colon or not SESSION_CONDITION.fullmatch(name.strip()) or not text.strip():
         raise InputError(f"preparation '{line[:40]}' is not 'condition: text'; add the condition")
     return name.strip(), text.strip()[:2000]

@@ -63,7 +63,7 @@ def test_preparation_texts_can_be_edited_and_survive(rig: Rig) -> None:
         ({"session": "a/b"}, "folder"),
         ({"conditions": ()}, "no condition"),
         ({"conditions": ("dry", "dry")}, "twice"),
-        ({"conditions": ("d y",)}, "not a valid name"),
+        ({"conditions": ("d y",)}, "is not valid in a session"),
         ({"conditions": ("dry; natural",)}, "and _, and commas between conditions"),
         (
             {"conditions": ("natrual", "Natural", "natural")},

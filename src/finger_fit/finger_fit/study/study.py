@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 
+from finger_common.condition_name import CASE_ALONE, check_condition_name, same_but_for_case
 from finger_common.errors import FingerError, InputError, ModelError, listed
 from finger_common.subject_code import may_be_one
 from finger_model.fem.area_model import FullOrderAreas
 from finger_model.reduced import ReducedModel
-from finger_offline.trial_split import CONDITION, TrialSettings
+from finger_offline.trial_split import TrialSettings
 
 from .. import results
 from ..engine import Engine, LocalEngine, engine_for
@@ -156,25 +157,18 @@ def _bag_of(record: Any) -> Path:
 def _check_spelling(records: Sequence[Any]) -> None:
     """Raise InputError for subjects or conditions whose names differ in case alone."""
     for kind in ("subject", "condition"):
-        spelled: dict[str, Any] = {}
+        first_of: dict[str, Any] = {}
         for record in records:
-            name = getattr(record, kind) or ""
-            first = spelled.setdefault(name.casefold(), record)
-            if name != (other := getattr(first, kind) or ""):
-                raise InputError(
-                    f"{kind}s '{other}' in {_bag_of(first)} and '{name}' in {_bag_of(record)} "
-                    "differ in case alone; write one name in one way, or fit each of them alone"
-                )
+            first_of.setdefault(getattr(record, kind) or "", record)
+        if twins := same_but_for_case(first_of):
+            one, other = (f"'{name}' in {_bag_of(first_of[name])}" for name in twins)
+            raise InputError(f"{kind}s {one} and {other} {CASE_ALONE}, or fit each of them alone")
 
 
 def _check_codes(subjects: Iterable[str]) -> None:
     """Raise InputError for the code of a subject that cannot name a folder."""
     for code in subjects:
-        if not CONDITION.fullmatch(code):
-            raise InputError(
-                f"subject {code[:40]!r} is no code of letters, digits, blanks and .,+()%-; correct "
-                "it, a name or a path does not belong there"
-            )
+        check_condition_name(code, "subject")
 
 
 _Outcome = FitResult | FingerError

@@ -17,11 +17,11 @@ from typing import Any
 
 from finger_bag.cli import EXIT_CHECK_FAILS, AddCommand
 from finger_common.cli import add_settings, plain, settings_from
+from finger_common.condition_name import CASE_ALONE, check_condition_name, same_but_for_case
 from finger_common.errors import InputError, known_names
 from finger_common.files import exists, sha256_of_file
 from finger_common.progress import Stages
 
-from ..trial_split import CONDITION
 from .grouped import Part, cell_text, recordings
 from .settings import PATHS, ImportSettings
 from .tables import read_table
@@ -119,7 +119,7 @@ class _Names:
     def __init__(self) -> None:
         self.numbers: Counter[tuple[str, str]] = Counter()
         self.names: set[str] = set()
-        self.subjects: dict[str, str] = {}
+        self.named: dict[str, None] = {}
 
     def add(
         self, where: str, settings: ImportSettings, name: str = "", numbered: bool = False
@@ -128,20 +128,16 @@ class _Names:
         they are `numbered`; raises InputError."""
         group = (settings.subject, settings.condition)
         for text in group:
-            if self.subjects.setdefault(text.casefold(), text) != text:
-                raise InputError(
-                    f"{where}: '{text}' and '{self.subjects[text.casefold()]}' differ in case "
-                    "alone; write one name in one way"
-                )
+            self.named[text] = None
+            if twins := same_but_for_case(self.named):
+                raise InputError(f"{where}: '{twins[1]}' and '{twins[0]}' {CASE_ALONE}")
         if not numbered:
             settings = dataclasses.replace(settings, index=settings.index + self.numbers[group])
         self.numbers[group] += 1
         name = name or f"{group[0]}_{group[1]}_{settings.index:02d}".replace(" ", "_")
-        if name.casefold() in self.names or not CONDITION.fullmatch(name):
-            raise InputError(
-                f"{where}: '{name}' is no name for a bag (letters, digits, blanks and .,+()%-), or "
-                "is there twice"
-            )
+        check_condition_name(name, f"{where}: bag")
+        if name.casefold() in self.names:
+            raise InputError(f"{where}: bag {name!r} is there twice; give each bag a name")
         self.names.add(name.casefold())
         return name, settings
 

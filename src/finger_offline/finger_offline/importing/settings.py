@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from finger_common.axes import DEFAULT_NORMAL_AXIS, NORMAL_AXES
+from finger_common.condition_name import check_condition_name
 from finger_common.errors import InputError, known_names
 from finger_common.moisture import MOISTURE_TEXT, is_moisture
 from finger_common.settings import Settings, setting
@@ -16,7 +17,6 @@ from finger_common.units import AREA_UNITS, FORCE_UNITS, LENGTH_UNITS, TIME_UNIT
 from finger_vision.area_sensor import AREA_SENSORS
 
 from ..image_settings import named_values, sensor_settings
-from ..trial_split import CONDITION
 
 PIXELS = "px"
 """Unit of an area in pixels, which `area_per_pixel` brings to m²."""
@@ -240,10 +240,7 @@ class ImportSettings(Settings):
                     f"no {name}; give it with --{name}, with --{name}-column, or as a column of "
                     "--trials"
                 )
-            if not CONDITION.fullmatch(value):
-                raise InputError(
-                    f"{name} {value[:40]!r} is no name of letters, digits, blanks and .,+()%-"
-                )
+            check_condition_name(value, name)
         if self.area:
             for name in ("calibration", "image_times"):
                 if getattr(self, name):

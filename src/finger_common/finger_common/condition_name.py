@@ -1,0 +1,40 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Names of conditions, and of all else that names files of a fit: none leads to another folder."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+
+from .errors import InputError
+
+CONDITION_NAME = re.compile(r"(?:\w[\w .,+()%-]{0,63})?")
+"""Empty: no condition was noted."""
+
+SESSION_CONDITION = re.compile(r"[A-Za-z0-9_-]{1,64}")
+"""Of a guided session. Its conditions stand between commas on the command line and in blocks such
+as dry:3, and name the bags of the session, which are typed in commands."""
+
+CASE_ALONE = "differ in case alone; write one name in one way"
+
+
+def check_condition_name(text: str, what: str) -> str:
+    """The name; raises InputError for what is none. what: is named, such as condition."""
+    if not CONDITION_NAME.fullmatch(text):
+        raise InputError(
+            f"{what} {text[:40]!r} is not valid; use letters, digits, spaces and _ . , + ( ) % -, "
+            "at most 64 characters, the first a letter or a digit"
+        )
+    return text
+
+
+def same_but_for_case(names: Iterable[str]) -> tuple[str, str] | None:
+    """The first two different names that are one name for some file systems; None without."""
+    seen: dict[str, str] = {}
+    for name in names:
+        first = seen.setdefault(name.casefold(), name)
+        if first != name:
+            return first, name
+    return None
