@@ -39,9 +39,10 @@ from .press import Press, PressEvent
 from .pull import Pull
 from .recording import Recording, RecordingState, Request, StopRecording
 from .session_files import SessionFiles
-from .session_store import SavedSession, folder_size, load_state
+from .session_store import SavedSession, load_state
 from .steps import PHASE_OF, PRESSING, UNDER_WAY, Step
 from .study_plan import StudyPlan
+from .trial_queue import TrialQueue
 
 Effect = TrialEvent | Request
 
@@ -78,13 +79,10 @@ class Protocol:
         self._limits = limits or Limits()
         self.step = Step.IDLE
         self.paused = False
-        self.current = 0
         self.message = ""
         self.fitting = False
         """Whether all presses of a calibration are made, and the model node fits them."""
-        self.trials = [
-            TrialState(index, condition) for index, condition in enumerate(plan.trial_conditions())
-        ]
+        self._queue = TrialQueue(plan)
         self.ended = ""
         self.log = EventLog(self.folder)
         self.files = SessionFiles(self.folder, self.log, self._session, self._log)
@@ -124,6 +122,16 @@ class Protocol:
         if self._press is not None:
             self._press.limits = limits
 
+    @property
+    def trials(self) -> list[TrialState]:
+        """The trials in their order."""
+        return self._queue.trials
+
+    @property
+    def current(self) -> int:
+        """Index of the trial that is next or under way."""
+        return self._queue.current
+
     # Saved state -----------------------------------------------------------------------------
 
     def _session(self) -> SavedSession:
@@ -155,35 +163,37 @@ class Protocol:
         """
         saved = load_state(Path(folder))
         protocol = cls(saved.plan, folder, effects, limits)
-        protocol.trials = saved.trials
-        protocol.current = saved.current
-        protocol.ended = saved.ended
-        protocol._now = protocol._step_stamp = now_ns
-        protocol.step = step = saved.step
-        protocol.log = protocol.files.log = EventLog.load(protocol.folder)
-        protocol._log("session", "the protocol was started again", of_trial=False)
-        # A bag that is still being written belongs to the interrupted attempt.
-        effects(StopRecording())
-        if step in UNDER_WAY:
-            protocol._conclude_failed("interrupted: the protocol ended during it")
-            protocol._note_unmarked()
-            number = protocol.current + 1
-            protocol.message = f"Restarted. Trial {number} will begin again: press Space."
-        elif step is Step.CLOSING:
-            protocol._conclude_done()
-        if step is Step.IDLE:
-            protocol._announce()
-        elif protocol._advance():
-            protocol.paused = True
-            protocol.message = protocol.message or "Restarted. Press Space to go on."
-            protocol._enter(Step.PREPARE)
-        else:
-            protocol.message = ""
-            # A result of the model node that was there before is not asked for again.
-            results = [e.text for e in protocol.log.events if e.kind == "calibration"]
-            protocol._known_result = results[-1] if results else ""
-            protocol._enter(Step.FINISHED)
+        protocol._restore(saved, now_ns)
         return protocol
+
+    def _restore(self, saved: SavedSession, now_ns: int) -> None:
+        self._queue.trials, self._queue.current = saved.trials, saved.current
+        self.ended = saved.ended
+        self._now = self._step_stamp = now_ns
+        self.step = step = saved.step
+        self.log = self.files.log = EventLog.load(self.folder)
+        self._log("session", "the protocol was started again", of_trial=False)
+        # A bag that is still being written belongs to the interrupted attempt.
+        self._effects(StopRecording())
+        if step in UNDER_WAY:
+            self._conclude_failed("interrupted: the protocol ended during it")
+            self._note_unmarked()
+            number = self.current + 1
+            self.message = f"Restarted. Trial {number} will begin again: press Space."
+        elif step is Step.CLOSING:
+            self._conclude_done()
+        if step is Step.IDLE:
+            self._announce()
+        elif self._advance():
+            self.paused = True
+            self.message = self.message or "Restarted. Press Space to go on."
+            self._enter(Step.PREPARE)
+        else:
+            self.message = ""
+            # A result of the model node that was there before is not asked for again.
+            results = [e.text for e in self.log.events if e.kind == "calibration"]
+            self._known_result = results[-1] if results else ""
+            self._enter(Step.FINISHED)
 
     # Commands --------------------------------------------------------------------------------
 
@@ -250,25 +260,16 @@ class Protocol:
             return
         if self.step is Step.CLOSING:
             raise InputError("the bag is being closed; try again in a moment")
-        if self.step is Step.PREPARE and self.trials[self.current].attempts:
+        if self.step is Step.PREPARE and self._queue.trial.attempts:
             raise InputError(f"trial {self.current + 1} begins again already")
-        done = [t for t in self.trials if t.attempts and t.verdict == "done"]
-        if not done:
-            raise InputError("no trial was done yet, so none can be redone")
-        # In the order of the log: a clock may be behind that of the day before.
-        kept = {e.index: place for place, e in enumerate(self.log.events) if e.kind == "kept"}
-        last = max(done, key=lambda t: (kept.get(t.index, -1), t.attempts[-1].began_ns or 0))
-        self.repeat(last.index, now_ns)
+        self.repeat(self._queue.last_done(self.log).index, now_ns)
 
     def repeat(self, index: int, now_ns: int) -> None:
         """Do a trial again that was done or skipped; the session then continues where it was."""
         self._now = now_ns
         if self.step in UNDER_WAY or self.step is Step.CLOSING:
             raise InputError("a trial is under way; finish, redo or skip it first")
-        if not 0 <= index < len(self.trials):
-            raise InputError(f"there is no trial {index}; give 0 to {len(self.trials) - 1}")
-        self.trials[index].repeat()
-        self.current = index
+        self._queue.repeat(index)
         self.paused = False
         self.message = ""
         self._enter(Step.PREPARE)
@@ -282,9 +283,7 @@ class Protocol:
             raise InputError("there is no open trial to skip")
         if self.step in UNDER_WAY:
             self._fail("skipped by the operator")
-        trial = self.trials[self.current]
-        trial.verdict = "skipped"
-        trial.give_up_repetition()
+        self._queue.skip()
         self._log("command", "skipped")
         self.paused = False
         self.message = ""
@@ -594,24 +593,21 @@ class Protocol:
 
     @property
     def _attempt(self) -> Attempt:
-        return self.trials[self.current].attempts[-1]
+        return self._queue.attempt
 
     def _recorder_is_late(self) -> bool:
         return self.recording.is_late(self._now, self.limits.record_timeout)
 
     def _begin_attempt(self) -> None:
-        trial = self.trials[self.current]
-        number = len(trial.attempts)
-        bag = self.folder / f"{trial.index:03d}_{trial.condition}_{number}"
-        attempt = Attempt(number, str(bag), began_ns=self._now)
-        trial.attempts.append(attempt)
-        follow = Pull if is_pull(trial.condition) else Press
-        self._press = follow(attempt, self.plan.press_of(trial.condition), self.limits)
+        condition = self._queue.trial.condition
+        attempt = self._queue.begin_attempt(self.folder, self._now)
+        kind = Pull if is_pull(condition) else Press
+        self._press = kind(attempt, self.plan.press_of(condition), self.limits)
         self.message = ""
         self._clear_since = None
         step = Step.MOISTURE_BEFORE if self.plan.readings else Step.CLEAR
         if self.limits.need_recorder:
-            self.recording.start(str(bag), self._announcement(self._phase(step)), self._now)
+            self.recording.start(attempt.bag, self._announcement(self._phase(step)), self._now)
         self._enter(step)
 
     def _close(self) -> None:
@@ -628,17 +624,12 @@ class Protocol:
         self._enter(Step.DONE)
 
     def _conclude_done(self) -> None:
-        attempt = self._attempt
-        attempt.verdict, attempt.ended_ns = "done", self._now
-        attempt.size = folder_size(Path(attempt.bag))
-        self.trials[self.current].verdict = "done"
-        found = f": {attempt.found}" if attempt.found else ""
+        self._queue.conclude_done(self._now)
+        found = f": {self._attempt.found}" if self._attempt.found else ""
         self._log("kept", f"trial {self.current + 1} kept{found}")
 
     def _conclude_failed(self, reason: str) -> None:
-        attempt = self._attempt
-        attempt.verdict, attempt.reason, attempt.ended_ns = "failed", reason, self._now
-        self.trials[self.current].verdict = "pending"
+        self._queue.conclude_failed(reason, self._now)
         self._log("failed", reason)
 
     def _fail(self, reason: str) -> None:
@@ -663,22 +654,14 @@ class Protocol:
         self.files.save()
 
     def _advance(self) -> bool:
-        """Choose the current trial if it is open, else the first open one; false for none, and
-        for a session that was ended.
-        """
-        pending = [t.index for t in self.trials if t.verdict == "pending"]
-        if self.ended or not pending:
-            return False
-        if self.current not in pending:
-            self.current = pending[0]
-        return True
+        """Choose the next trial; false for none, and for a session that was ended."""
+        return not self.ended and self._queue.advance()
 
     def _next(self) -> None:
         if not self._advance():
             self._enter(Step.FINISHED)
             return
-        attempts = self.trials[self.current].attempts
-        in_a_row = sum(a.verdict == "failed" for a in attempts)
+        in_a_row = self._queue.failed_in_a_row()
         self._enter(Step.PREPARE)
         if in_a_row and in_a_row % self.limits.max_attempts == 0 and not self.paused:
             self._hold(
@@ -686,7 +669,7 @@ class Protocol:
             )
 
     def _announcement(self, phase: TrialPhase) -> TrialEvent:
-        trial = self.trials[self.current]
+        trial = self._queue.trial
         number = len(trial.attempts)
         open_attempt = trial.attempts and self.step not in (Step.IDLE, Step.PREPARE)
         note = ""
@@ -733,9 +716,7 @@ class Protocol:
     def _enter(self, step: Step, stamp_ns: int | None = None) -> None:
         # The announcement goes out first: the cue to lift must not wait for a disk.
         if step is Step.FINISHED:
-            for trial in self.trials:
-                if trial.verdict == "pending":
-                    trial.give_up_repetition()
+            self._queue.give_up_repetitions()
         self.fitting = False
         if step is Step.FINISHED and self.plan.is_calibration:
             done = all(trial.verdict == "done" for trial in self.trials)

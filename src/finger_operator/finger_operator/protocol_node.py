@@ -298,8 +298,7 @@ class ProtocolNode(ManagedNode):
 
     def _start(self) -> str:
         if self._protocol is None:
-            if self._recorder.busy:
-                raise InputError("the recorder is still busy; try again in a moment")
+            self._refuse_busy_recorder()
             self._protocol = self._new_session()
         if self._protocol.step is Step.PREPARE and not self._protocol.paused:
             self._refuse_untared()
@@ -320,12 +319,15 @@ class ProtocolNode(ManagedNode):
             raise InputError(
                 "a calibration needs the camera, and this rig runs without (need_camera)"
             )
-        if self._recorder.busy:
-            raise InputError("the recorder is still busy; try again in a moment")
+        self._refuse_busy_recorder()
         self._refuse_untared()
         self._protocol = self._new_session(calibration=True)
         self._protocol.start(self.sample_time())
         return "the calibration begins"
+
+    def _refuse_busy_recorder(self) -> None:
+        if self._recorder.busy:
+            raise InputError("the recorder is still busy; try again in a moment")
 
     def _refuse_untared(self) -> None:
         """Before a trial begins, as the page does."""
@@ -390,8 +392,8 @@ class ProtocolNode(ManagedNode):
         if protocol.step not in (Step.IDLE, Step.FINISHED, Step.PREPARE, Step.FAILED, Step.DONE):
             raise InputError("a trial is under way; finish, skip or pause it first")
         protocol.files.write_all()
-        if protocol.files.unmarked and self._recorder.busy:
-            raise InputError("the recorder is still busy; try again in a moment")
+        if protocol.files.unmarked:
+            self._refuse_busy_recorder()
         unmarked = listed(bag.name for bag, _ in protocol.files.unmarked)
         if unmarked:
             unmarked = f"; not marked as failed, leave out: {unmarked}"
