@@ -172,7 +172,7 @@ def test_codes_of_subjects_are_written_in_one_way(
     other = [double.make_record(i, 0.7 + 0.4 * i, 0.3e-6) for i in range(4)]
     with pytest.raises(InputError, match=r"'S01' in .* and 's01' in .* differ in case alone"):
         fitted(double, [*presses, *(replace(p, subject="s01") for p in other)])
-    with pytest.raises(InputError, match=r"subject '\.\./S01' is no code"):
+    with pytest.raises(InputError, match=r"subject '\.\./S01' is not valid; use"):
         fitted(double, [replace(p, subject="../S01") for p in presses])
 
 
