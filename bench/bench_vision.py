@@ -90,11 +90,11 @@ def _followed(quick: bool) -> float:
     segmenter = FtirSegmenter(calibration=renderer.calibration())
     motion = RidgeMotion(calibration=renderer.calibration())
     for _ in range(3):
-        motion.follow(renderer.empty(), segmenter.process(renderer.empty()))
+        motion.track(renderer.empty(), segmenter.process(renderer.empty()))
     times = []
     for frame in frames * (2 if quick else 10):
         start = time.perf_counter()
-        motion.follow(frame, segmenter.process(frame))
+        motion.track(frame, segmenter.process(frame))
         times.append(time.perf_counter() - start)
     return 1.0 / float(np.median(times))
 

@@ -126,7 +126,7 @@ def followed(pull: Pull, change: Change = lambda contact, _: contact) -> np.ndar
 
     def see(contacts: list[Contact]) -> tuple[float, float]:
         image = renderer.render_frame(contacts).image
-        seen = motion.follow(image, segmenter.process(image))
+        seen = motion.track(image, segmenter.process(image))
         return seen.stick_ratio, seen.stick_ratio_sd
 
     for _ in range(3):

@@ -77,7 +77,7 @@ def seen(ratios: list[float], radius: float) -> list[tuple[np.ndarray, np.ndarra
     still = SkinSlip(direction=math.pi, reach=60e-6, lag=0.35)
 
     def show(image: np.ndarray) -> np.ndarray:
-        motion.follow(image, segmenter.process(image))
+        motion.track(image, segmenter.process(image))
         return image
 
     for _ in range(3):

@@ -67,7 +67,7 @@ def test_frames_show_the_slip_that_the_pull_has(planned: PlannedTrial) -> None:
     for number, path in enumerate(planned.frames):
         time = number / VIEW.frame_rate
         image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-        seen = motion.follow(image, sensor.process(image))
+        seen = motion.track(image, sensor.process(image))
         if not math.isfinite(seen.stick_ratio):
             continue
         if planned.press.cue < time < planned.press.cue + pull.PAUSE - 0.1:

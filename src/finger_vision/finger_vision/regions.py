@@ -46,7 +46,7 @@ class Followed:
     open: bool
 
 
-def follow(
+def match_region(
     labels: np.ndarray, weight: np.ndarray, box: Box, shape: tuple[int, int], past: Followed | None
 ) -> tuple[int, Followed]:
     """Label of the pressing finger's region, and what the next frame needs to follow it.

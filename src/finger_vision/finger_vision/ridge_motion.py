@@ -162,7 +162,7 @@ class RidgeMotion:
         self.settings = settings or RidgeMotionSettings()
         self.calibration = calibration or PlateCalibration()
         self.ridge_period = ridge_period
-        # What no picture is, the area sensor has refused.
+        # The area sensor has already refused invalid images.
         self._mono8 = Mono8(dark=True)
         self.reset()
 
@@ -185,7 +185,7 @@ class RidgeMotion:
         self._begin = np.zeros(2)
         self._noise = FIRST_NOISE
 
-    def follow(self, image: np.ndarray, contact: ContactMeasurement) -> SkinMotion:
+    def track(self, image: np.ndarray, contact: ContactMeasurement) -> SkinMotion:
         """Motion of the skin up to an image (H, W), whose contact was measured.
 
         An image without contact shows the plate, and ends the contact; so does a contact that is
@@ -558,7 +558,7 @@ def with_motion(
     if motion is None:
         return contact
     try:
-        found = motion.follow(image, contact)
+        found = motion.track(image, contact)
     except InputError:
         return contact
     flags = contact.flags | (AreaFlag.SLIDING if found.sliding else 0)

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from .background import Background
-from .regions import SPECK, Followed, follow
+from .regions import SPECK, Followed, match_region
 from .working_grid import Box, WorkingGrid
 
 STRONG_SHARE = 0.25
@@ -218,7 +218,8 @@ def _region(
     of what is in doubt (those within 2.5 ridge periods of it, and narrow parts of it), and what the
     next frame needs; None without a region.
 
-    Regions are connected by the density of ridges; `follow` tells which is the pressing finger's.
+    Regions are connected by the density of ridges; `match_region` tells which is the pressing
+    finger's.
     """
     part = _quarter(box)
     certain = _above(core[part], DENSITY * 255)
@@ -230,7 +231,7 @@ def _region(
     weight[0] = 0
     if not weight.any():
         return None
-    best, followed = follow(labels, weight, part, core.shape, past)
+    best, followed = match_region(labels, weight, part, core.shape, past)
     others = weight > max(SPECK * weight[best], OTHER_REGION / (4 * grid.pitch) ** 2)
     others[best] = False
     main = _mask(labels == best)

@@ -51,7 +51,7 @@ class Camera:
                 self.see(self.renderer.empty())
 
     def see(self, image: np.ndarray) -> SkinMotion:
-        return self.motion.follow(image, self.segmenter.process(image))
+        return self.motion.track(image, self.segmenter.process(image))
 
     def image(self, slip: SkinSlip = PULL, part: float = 1.0, **contact: object) -> np.ndarray:
         """Frame of the contact at a part of its radius."""
@@ -259,7 +259,7 @@ def test_images_that_cannot_be_followed_say_so_and_the_next_one_goes_on() -> Non
     blurred = cv2.GaussianBlur(camera.image(held), (0, 0), 12)
     white = np.full_like(blurred, 255)
     for bad in (blurred, white):
-        seen = camera.motion.follow(bad, contact)
+        seen = camera.motion.track(bad, contact)
         assert math.isnan(seen.stick_ratio) and not seen.sliding
     assert camera.show(held).stick_ratio == pytest.approx(before, abs=0.06)
     other = Camera("natural", seed=77)
@@ -276,7 +276,7 @@ def test_no_contact_ends_what_was_seen() -> None:
     camera.press()
     assert camera.show().slip == pytest.approx((0.0, 0.0), abs=5e-6)
     with pytest.raises(InputError):
-        camera.motion.follow(np.zeros((4, 4, 7), np.uint8), ContactMeasurement())
+        camera.motion.track(np.zeros((4, 4, 7), np.uint8), ContactMeasurement())
 
 
 def test_contact_over_the_border_without_calibration() -> None:
@@ -360,7 +360,7 @@ def test_a_contact_that_no_patch_fits_into_ends_what_was_seen(scale: float) -> N
     turn = np.linspace(0.0, 6.0, 20)
     hull = np.column_stack([np.cos(turn), np.sin(turn)]) * scale
     hull = hull + (1.0 if scale > 1e-3 else 0.0)
-    seen = camera.motion.follow(image, replace(measured, hull=hull))
+    seen = camera.motion.track(image, replace(measured, hull=hull))
     assert math.isnan(seen.stick_ratio) and not seen.sliding
     assert math.isnan(camera.show().stick_ratio), "the first image of a new contact"
     assert camera.show().stick_ratio > 0.9
@@ -377,7 +377,7 @@ def test_a_contact_that_fills_a_large_frame_is_followed_at_bounded_cost() -> Non
         corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * [1.25 * half, half]
         hull = motion.calibration.to_plate(corners + np.array([449.5, 359.5]), 900, 720)
         area = cv2.contourArea(hull.astype(np.float32))
-        seen = motion.follow(image, ContactMeasurement(gross_area=area, hull=hull))
+        seen = motion.track(image, ContactMeasurement(gross_area=area, hull=hull))
         assert len(motion.points) < 2500
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
