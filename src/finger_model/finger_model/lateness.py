@@ -7,7 +7,7 @@ from __future__ import annotations
 
 
 class Lateness:
-    """Of the inputs of one kind since the last look. kind: in the plural, for people."""
+    """Counts late inputs of one kind since the last `look`. kind: plural name, for messages."""
 
     def __init__(self, kind: str) -> None:
         self._kind = kind

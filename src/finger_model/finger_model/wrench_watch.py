@@ -41,7 +41,7 @@ SHOWN, SHORT = 3, 40
 
 
 class WrenchWatch:
-    """Of the samples since the last look. clock: s."""
+    """Counts faults of a stream of wrenches since the last `look`. clock: time in s."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock

@@ -30,7 +30,7 @@ LARGEST = 0.15
 saw no contact meanwhile."""
 
 EMPTY_FRAMES = 2
-"""Frames without a contact that show that a steady force is none of a finger."""
+"""Frames without contact that prove that a steady force is not from a finger."""
 
 LATE_START = 0.08
 """N at the first sample of a press from which it began before the recording. A press cut off there
