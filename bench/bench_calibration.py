@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from finger_common.guided_presses import CALIBRATION_PRESSES
+from finger_common.usable_press import TYPICAL_AREA_NOISE
 from finger_model.calibration import CalibrationPress, calibrate
 from finger_model.finger import load_reduced
 from finger_model.parameter_sets import ParameterSets
 from finger_model.people import People
 from finger_model.reduced.model import load_population
 from finger_sim.press import guided_style, plan_press
-from finger_sim.study_trial import AREA_NOISE
 
 
 def presses_of(index: int) -> list[CalibrationPress]:
@@ -31,9 +31,9 @@ def presses_of(index: int) -> list[CalibrationPress]:
         before, at = time_s[-1], time_s[-1] + 2.0
         frames = np.arange(time_s[0], time_s[-1], 0.1)
         area = np.interp(frames, time_s, table[:, 0])
-        area = area[area > 0] + AREA_NOISE * rng.normal(size=np.count_nonzero(area > 0))
+        area = area[area > 0] + TYPICAL_AREA_NOISE * rng.normal(size=np.count_nonzero(area > 0))
         frames = frames[np.interp(frames, time_s, table[:, 0]) > 0]
-        deviation = np.full(len(area), AREA_NOISE)
+        deviation = np.full(len(area), TYPICAL_AREA_NOISE)
         found.append(CalibrationPress(time_s, plan.force, frames, area, deviation))
     return found
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from finger_common.usable_press import TYPICAL_AREA_NOISE
 from finger_fit import Trial, fit
 from finger_fit.hierarchy.command import population, read_subjects
 from finger_fit.options import FitOptions
@@ -19,7 +20,7 @@ from finger_model.reduced import ReducedModel
 from finger_sim.conditions import STUDY
 from finger_sim.press import plan_press
 from finger_sim.study_bag import START_NS, TRIAL_SECONDS, write_bag
-from finger_sim.study_trial import AREA_NOISE, FRAME_RATE, Misfit, StudyTrial, stream
+from finger_sim.study_trial import FRAME_RATE, Misfit, StudyTrial, stream
 
 SEED = 1
 GOAL = 10.0
@@ -124,7 +125,7 @@ def subject_trials(
             force = np.interp(knots, press.time, press.force)
             rows = np.searchsorted(knots, frames)
             area = model.batch(own, [(knots, force, rows)])[0][0]
-            noisy = np.maximum(area + rng.normal(0.0, AREA_NOISE, len(area)), 0.0)
+            noisy = np.maximum(area + rng.normal(0.0, TYPICAL_AREA_NOISE, len(area)), 0.0)
             area = np.where(force[rows] > 0, noisy, 0.0)
             moisture = setting.draw_moisture(rng)[:3]
             found.append(

@@ -23,6 +23,7 @@ import numpy as np
 from population_fingers import FRAME, KINDS, START, force_of, rms
 
 from finger_common.guided_presses import CALIBRATION_PRESSES, GuidedPress
+from finger_common.usable_press import TYPICAL_AREA_NOISE
 from finger_model.anthropometry import CALIPER_DEVIATION, estimate_geometry, parse_length
 from finger_model.calibration import CalibrationPress, calibrate, subject_model
 from finger_model.estimator import ContactEstimator
@@ -33,7 +34,6 @@ from finger_model.people import People, Person
 from finger_model.reduced import ReducedModel
 from finger_model.reduced.model import load_population
 from finger_sim.press import guided_style, plan_press
-from finger_sim.study_trial import AREA_NOISE
 
 GOAL = 0.04
 """RMS of the area's error over that of the area."""
@@ -80,8 +80,8 @@ def pressed(
         frames = np.arange(time[0] + FRAME * rng.random(), time[-1], FRAME)
         seen = np.interp(frames, time[::5], area)
         frames, seen = frames[seen > 0], seen[seen > 0]
-        measured = np.maximum(seen + AREA_NOISE * rng.normal(size=len(seen)), 1e-7)
-        columns = frames, measured, np.full(len(frames), AREA_NOISE)
+        measured = np.maximum(seen + TYPICAL_AREA_NOISE * rng.normal(size=len(seen)), 1e-7)
+        columns = frames, measured, np.full(len(frames), TYPICAL_AREA_NOISE)
         guided.append(CalibrationPress(time, force, *columns))
     for kind in KINDS:
         since, force = force_of(rng, kind)

@@ -46,6 +46,7 @@ from scipy.optimize import brentq
 from throughput import replace_between
 
 from finger_common.files import atomic_write
+from finger_common.usable_press import TYPICAL_AREA_NOISE
 from finger_fit.engine import LocalEngine
 from finger_fit.full_order import FullOrder, correct
 from finger_fit.nuisance.estimate import NuisanceModel
@@ -62,7 +63,7 @@ from finger_fit.search import all_free, refine
 from finger_fit.uncertainty import covariance, in_interval
 from finger_model.geometry import Geometry
 from finger_model.laws import MaxwellLaw, StandardLinearSolid, from_branches
-from finger_model.paper import FRICTION, TRIALS_PER_CONDITION
+from finger_model.paper import CONDITIONS, FRICTION, TRIALS_PER_CONDITION
 from finger_model.pose.pose import Pose
 from finger_model.reduced import ReducedModel
 from finger_model.reduced.model import load_population
@@ -73,7 +74,6 @@ from finger_sim.ftir import Contact
 from finger_sim.press import Press, plan_press
 from finger_sim.study_bag import START_NS, VIEW
 from finger_sim.study_trial import (
-    AREA_NOISE,
     FORCE_NOISE,
     FORCE_RATE,
     FORCE_RESOLUTION,
@@ -87,7 +87,7 @@ SPACE = StandardLinearSolid.PARAMETERS
 QUANTITIES = ("composite_E", "E2", "tau1")
 PRESS_SEED = 1
 STEP = 0.04
-PUBLISHED_J = {"dry": 2650.0, "natural": 4767.0, "moist": 1807.0}
+PUBLISHED_J = {name: found.power_law_cost * MM4 for name, found in CONDITIONS.items()}
 """mm⁴, of the power law (the paper)."""
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -371,9 +371,9 @@ def record(
     if rig.images:
         areas, deviations, flags = by_images(name, index, seed, measured)
     else:
-        noisy = np.maximum(measured + rng.normal(0.0, AREA_NOISE, len(area)), 0.0)
+        noisy = np.maximum(measured + rng.normal(0.0, TYPICAL_AREA_NOISE, len(area)), 0.0)
         areas = np.where(area > 0, noisy, 0.0)
-        deviations, flags = np.full(len(area), AREA_NOISE), np.where(area > 0, 0, 1)
+        deviations, flags = np.full(len(area), TYPICAL_AREA_NOISE), np.where(area > 0, 0, 1)
     inside, seen = np.ones(len(time), bool), np.ones(len(frames), bool)
     if not rig.rest:
         inside = (time > drawn.onset) & (time < drawn.lift_off)

@@ -32,6 +32,7 @@ import yaml
 
 from finger_common.files import atomic_write
 from finger_common.flags import StateFlag
+from finger_common.usable_press import TYPICAL_AREA_NOISE
 from finger_model.estimator import ContactEstimator
 from finger_model.estimator.area_filter import TISSUE
 from finger_model.estimator.perturbed_finger import PerturbedFinger
@@ -43,7 +44,7 @@ from finger_model.parameter_sets import ParameterSets
 from finger_model.people import People, Person
 from finger_model.reduced import ReducedModel
 from finger_model.reduced.model import POPULATION, load_population
-from finger_sim.study_trial import AREA_NOISE, FORCE_NOISE
+from finger_sim.study_trial import FORCE_NOISE
 
 WIDE_KINDS = ("hold", "grip", "slow", "tap", "grip", "hold")
 WIDE_FORCES, LOOSE_FORCES = (0.5, 9.0), (0.1, 1.0)
@@ -209,11 +210,11 @@ def run_session(
         noise = rng.normal(size=2 * len(press.time))
         frames = np.arange(press.time[0] + FRAME * rng.random(), press.time[-1], FRAME)
         truth = np.interp(frames, press.time, press.area)
-        measured = np.maximum(truth + AREA_NOISE * noise[: len(frames)], 0.1e-6)
+        measured = np.maximum(truth + TYPICAL_AREA_NOISE * noise[: len(frames)], 0.1e-6)
         frames, measured = frames[truth > 0], measured[truth > 0]
         if number in cameras:
             for instant, area in zip(frames, measured):
-                estimator.add_area(START + round(instant * 1e9), area, AREA_NOISE)
+                estimator.add_area(START + round(instant * 1e9), area, TYPICAL_AREA_NOISE)
         time = np.arange(press.time[0] - 0.3, press.time[-1] + 0.3, sample)
         force = np.interp(time, press.time, press.force, 0.0, 0.0)
         noisy = force + FORCE_NOISE * rng.normal(size=len(time))

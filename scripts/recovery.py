@@ -43,6 +43,7 @@ import numpy as np
 from scipy.interpolate import RBFInterpolator
 
 from finger_common.files import atomic_write
+from finger_common.usable_press import TYPICAL_AREA_NOISE
 from finger_fit.engine import LocalEngine
 from finger_fit.full_order import FullOrder, correct, correction_around
 from finger_fit.full_order.areas import REFINEMENT
@@ -60,7 +61,6 @@ from finger_sim import study_trial
 from finger_sim.conditions import STUDY
 from finger_sim.study_bag import START_NS
 from finger_sim.study_trial import (
-    AREA_NOISE,
     AREA_SCATTER,
     Misfit,
     StudyTrial,
@@ -164,7 +164,7 @@ def record(
         force=normal,
         area_stamp_ns=START_NS + np.round(trial.frame_time * 1e9).astype(np.int64),
         area=area,
-        area_sd=np.full(len(area), AREA_NOISE),
+        area_sd=np.full(len(area), TYPICAL_AREA_NOISE),
         area_flags=np.where(trial.area > 0, 0, 1),
         moisture_before=list(trial.moisture[:3]),
         moisture_after=list(trial.moisture[3:]),
@@ -316,7 +316,7 @@ def fit_one(
         # The fit's own correction may lie far from the truth; the bound needs one at the truth.
         at_truth = FitProblem(prepared, model, options)
         at_truth.correction = correction_around(at_truth, truth, better)
-        out["cramer_rao"] = cramer_rao(at_truth, truth, AREA_NOISE)
+        out["cramer_rao"] = cramer_rao(at_truth, truth, TYPICAL_AREA_NOISE)
     pairs = [bias_pair(problem, best, seed, i) for i in range(PAIRS)]
     corrected = bias_corrected(SPACE, best, np.array(pairs))
     for key in ("corrected_error_log", "covered", "corrected_covered", "interval_sd"):

@@ -15,6 +15,7 @@ import pytest
 from finger_common.errors import InputError
 from finger_common.guided_presses import CALIBRATION_PRESSES
 from finger_common.trial_phases import TrialPhase
+from finger_common.usable_press import TYPICAL_AREA_NOISE
 from finger_model.anthropometry import GeometryEstimate, estimate_geometry
 from finger_model.calibration import (
     Calibration,
@@ -35,7 +36,6 @@ from finger_model.reduced.model import load_population
 from finger_model.subject_calibration import PressCollector, keep_subject
 from finger_model.subjects import find_subject, save_subject, subject_file
 from finger_sim.press import guided_style, plan_press
-from finger_sim.study_trial import AREA_NOISE
 
 START = 10**18
 FRAME = 0.1
@@ -69,8 +69,8 @@ def pressed(index: int, seed: int = 11) -> Finger:
         frames = np.arange(time[0] + FRAME * rng.random(), time[-1], FRAME)
         seen = np.interp(frames, time, area)
         frames, seen = frames[seen > 0], seen[seen > 0]
-        measured = np.maximum(seen + AREA_NOISE * rng.normal(size=len(seen)), 1e-7)
-        columns = frames, measured, np.full(len(frames), AREA_NOISE)
+        measured = np.maximum(seen + TYPICAL_AREA_NOISE * rng.normal(size=len(seen)), 1e-7)
+        columns = frames, measured, np.full(len(frames), TYPICAL_AREA_NOISE)
         presses.append(CalibrationPress(time, plan.force, *columns))
         truth.append(area)
     return Finger(person, presses, truth)

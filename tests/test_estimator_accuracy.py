@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from finger_common.usable_press import TYPICAL_AREA_NOISE
 from finger_model.estimator import ContactEstimator
 from finger_model.finger import load_reduced
 from finger_model.geometry import Geometry
@@ -20,7 +21,7 @@ from finger_model.reduced import ReducedModel
 from finger_sim.conditions import condition
 from finger_sim.finger import SimulatedFinger, area_at
 from finger_sim.press import plan_press
-from finger_sim.study_trial import AREA_NOISE, FORCE_NOISE, Misfit, misfit_of, stream
+from finger_sim.study_trial import FORCE_NOISE, Misfit, misfit_of, stream
 
 NATURAL = condition("natural").material.vector()
 PARAMETERS = {
@@ -93,10 +94,10 @@ def session(trials: list[Trial], parameters: np.ndarray, seed: int) -> Score:
     for number, trial in enumerate(trials):
         start = 10**18 + number * 20 * 10**9
         truth = np.interp(trial.frames, trial.time, trial.area)
-        measured = np.maximum(truth + rng.normal(0.0, AREA_NOISE, len(truth)), 0.0)
+        measured = np.maximum(truth + rng.normal(0.0, TYPICAL_AREA_NOISE, len(truth)), 0.0)
         for instant, true, area in zip(trial.frames, truth, measured):
             if true > 0:
-                estimator.add_area(start + round(instant * 1e9), area, AREA_NOISE)
+                estimator.add_area(start + round(instant * 1e9), area, TYPICAL_AREA_NOISE)
         stamps = start + np.round(trial.time * 1e9).astype(np.int64)
         force = trial.force + rng.normal(0.0, FORCE_NOISE, len(trial.force))
         block = estimator.add_wrenches(stamps, np.column_stack([0 * force, 0 * force, -force]))
@@ -115,7 +116,7 @@ def check(score: Score, off: bool) -> None:
         assert rms(score.fused) <= 0.5 * rms(score.model)
     assert 0.7 <= score.normalised.std() <= 1.3
     assert 0.90 <= score.coverage <= 0.99
-    assert score.sd.mean() < AREA_NOISE
+    assert score.sd.mean() < TYPICAL_AREA_NOISE
 
 
 @pytest.mark.parametrize("which", ["20 % soft", "20 % stiff"])
@@ -126,7 +127,7 @@ def test_fusion_halves_the_error_of_wrong_parameters(which: str) -> None:
     assert rms(score.fused) <= 0.5 * rms(score.model)
     assert rms(score.fused) <= 1.1 * rms(score.measured)
     assert score.coverage >= 0.9
-    assert score.sd.mean() < AREA_NOISE
+    assert score.sd.mean() < TYPICAL_AREA_NOISE
 
 
 def pooled_score(name: str, parameters: np.ndarray, misfit: bool) -> Score:
@@ -163,4 +164,4 @@ def test_errors_that_change_shape_within_a_press_are_halved_too(misfit: bool) ->
     score = pooled_score("opposite", OPPOSITE, misfit)
     assert rms(score.fused) <= 0.5 * rms(score.model)
     assert rms(score.fused) <= 1.1 * rms(score.measured)
-    assert score.sd.mean() < AREA_NOISE
+    assert score.sd.mean() < TYPICAL_AREA_NOISE

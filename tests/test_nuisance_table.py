@@ -83,7 +83,7 @@ def test_a_pad_of_larger_contact_is_read_as_a_softer_finger(script) -> None:
     options = FitOptions(step=script.STEP, geometry_sd=[])
     row = script.fit_case(case, 0, {"shape": answer}, options)
     assert row["composite_E"]["error"] < -0.1
-    assert row["noise"] < 1.2 * script.AREA_NOISE
+    assert row["noise"] < 1.2 * script.TYPICAL_AREA_NOISE
     text = script.misfit_table([row])
     assert f"| {case} | 1 |" in text and "nan" not in text
 

@@ -22,6 +22,10 @@ FEWEST_FRAMES = 3
 LONGEST_HOLE = 1.5
 """Periods of the camera between two frames from which a frame was dropped."""
 
+TYPICAL_AREA_NOISE = 1.5e-6
+"""m², standard deviation of a measured area, independent from frame to frame; an assumption that
+stands where the noise is not known."""
+
 
 @dataclass(frozen=True)
 class Frames:

@@ -32,7 +32,8 @@ LONGEST_LAG = 0.4
 """s, largest lag that is looked for."""
 
 AREA_NOISE, MODEL_ERROR = 2e-6, 0.03
-"""m² of a measured area, and share by which a finger differs from the models."""
+"""m² of a measured area, more than is typical since the camera of a recording may be any; and share
+by which a finger differs from the models."""
 
 TRAVEL_ERROR, FEWEST_READINGS = 0.03, 6
 """Error of an indentation as a share of the travel of its press, and readings that tell a lag."""

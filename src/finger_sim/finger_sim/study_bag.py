@@ -20,9 +20,10 @@ from finger_common.flags import AreaFlag
 from finger_common.guided_pulls import HOLD
 from finger_common.stamps import nanoseconds
 from finger_common.trial_phases import TrialPhase
+from finger_common.usable_press import TYPICAL_AREA_NOISE
 
 from .ftir import FtirRenderer
-from .study_trial import AREA_NOISE, FRAME_RATE, StudyTrial, measured_area, measured_force, stream
+from .study_trial import FRAME_RATE, StudyTrial, measured_area, measured_force, stream
 from .trial_plan import PLACEMENT_SD, CameraView, contact_of, renderer_for
 
 VIEW = CameraView(FRAME_RATE, 640, 512)
@@ -42,7 +43,12 @@ Record = tuple[float, str, str, dict[str, Any]]
 
 
 def write_bag(
-    path: Path, trial: StudyTrial, seed: int, images: bool, start_ns: int, noise: float = AREA_NOISE
+    path: Path,
+    trial: StudyTrial,
+    seed: int,
+    images: bool,
+    start_ns: int,
+    noise: float = TYPICAL_AREA_NOISE,
 ) -> None:
     """Write one trial as a session bag.
 

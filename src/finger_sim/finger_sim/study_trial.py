@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from finger_common.guided_pulls import LOAD
+from finger_common.usable_press import TYPICAL_AREA_NOISE
 from finger_model.geometry import Geometry
 from finger_model.paper import TARGET_FORCE
 
@@ -30,10 +31,6 @@ FORCE_RESOLUTION = 1.0 / 171.0
 
 FORCE_NOISE = 0.004
 """N, standard deviation of a force sample before rounding; an assumption below the resolution."""
-
-AREA_NOISE = 1.5e-6
-"""m², standard deviation of an area without images, independent from frame to frame; an
-assumption."""
 
 FORCE_RATE = 500.0
 FRAME_RATE = 10.0
@@ -149,7 +146,7 @@ def measured_force(trial: StudyTrial, seed: int) -> tuple[np.ndarray, np.ndarray
     return time, np.round(force / FORCE_RESOLUTION) * FORCE_RESOLUTION
 
 
-def measured_area(trial: StudyTrial, seed: int, noise: float = AREA_NOISE) -> np.ndarray:
+def measured_area(trial: StudyTrial, seed: int, noise: float = TYPICAL_AREA_NOISE) -> np.ndarray:
     """True areas (k,) in m² with measurement noise; exactly zero without contact."""
     rng = stream(seed, trial.condition, trial.index, "area")
     noisy = trial.area + rng.normal(0.0, noise, len(trial.area))

@@ -14,7 +14,7 @@ import numpy as np
 from finger_common.errors import InputError, put_once
 from finger_common.files import load_yaml
 from finger_common.settings import Settings, setting
-from finger_common.usable_press import FEWEST_FRAMES
+from finger_common.usable_press import FEWEST_FRAMES, TYPICAL_AREA_NOISE
 from finger_model.paper import PRESS_DURATION, TARGET_FORCE, TRIALS_PER_CONDITION
 
 from ..api import Trial
@@ -53,7 +53,7 @@ class Plan(Settings):
         "loading", "Frames that count, as in a fit.", choices=("loading", "contact")
     )
     frame_rate: float = setting(10.0, "Images.", "Hz", 1.0, 1000.0)
-    area_noise: float = setting(1.5e-6, "Noise of a frame's area.", "m^2", 1e-8, 1e-4)
+    area_noise: float = setting(TYPICAL_AREA_NOISE, "Noise of a frame's area.", "m^2", 1e-8, 1e-4)
     scatter: float = setting(0.03, "Scatter of whole presses' areas (logarithm).", "", 0.0, 1.0)
     indentation_sd: float = setting(
         0.0, "Noise of a measured indentation; 0: none is measured.", "m", 0.0, 1e-3

@@ -20,6 +20,7 @@ import numpy as np
 
 from finger_common.errors import InputError
 from finger_common.files import sha256_of
+from finger_common.usable_press import TYPICAL_AREA_NOISE
 from finger_model.laws import ConstitutiveLaw, ParameterSpace, StandardLinearSolid
 
 from ..fingers import KnownLengths
@@ -28,10 +29,6 @@ from .goal import Goal, Nuisances, losses
 from .indentation import IndentationRows
 from .outputs import in_rows, trial_outputs
 from .trials import FitTrial
-
-AREA_NOISE = 1.5e-6
-"""m², noise of a frame's area by which indentations weigh until a fit knows its own; an
-assumption."""
 
 SMALLEST_FORCE = 0.05
 """N; areas under less are too small to compare."""
@@ -134,7 +131,7 @@ class FitProblem:
         self.correction: AreaCorrection | None = None
         self.nuisances: Nuisances | None = None
         self.indentations = IndentationRows.of(self.trials, model, options.indentation_sd)
-        self.weigh(AREA_NOISE)
+        self.weigh(TYPICAL_AREA_NOISE)
 
     def __len__(self) -> int:
         return len(self.trials)
@@ -234,7 +231,7 @@ class FitProblem:
         """Copy the problem without correction and nuisances, which a fit sets."""
         found = copy.copy(self)
         found.correction = found.nuisances = None
-        found.weigh(AREA_NOISE)
+        found.weigh(TYPICAL_AREA_NOISE)
         return found
 
     def redrive(self, trials: Sequence[FitTrial]) -> None:
