@@ -30,6 +30,7 @@ from finger_common.cli import (
 from finger_common.console import Console
 from finger_common.errors import InputError, listed
 from finger_common.files import exists
+from finger_common.namespaces import check_namespace
 from finger_common.plugins import Plugins
 
 from .bag_files import find_bags, storage_of
@@ -200,12 +201,13 @@ def _topic(reader: Any, name: str) -> str:
 
 def _record(args: argparse.Namespace) -> int:
     try:
-        from .recorder_node import main
+        from .recorder_node import record
     except ImportError as error:
         raise InputError(f"recording needs ROS 2 ({error}); source it") from None
     from .writer import BagWriter
 
     # Refused here, before ROS starts, with the reason.
+    check_namespace(args.namespace)
     settings = settings_from(args, RecorderSettings)
     BagWriter(args.output, in_place=False).abandon()
     path = Path(args.output).absolute()
@@ -226,7 +228,7 @@ def _record(args: argparse.Namespace) -> int:
         arguments += ["-p", f"{name}:={text}"]
     if args.topics:
         arguments += ["-p", f"topics:={json.dumps(args.topics)}"]
-    main(["finger-bag", *arguments])
+    record(["finger-bag", *arguments])
     return 0
 
 

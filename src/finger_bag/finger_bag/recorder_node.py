@@ -42,7 +42,7 @@ from .cdr_layout import stamp_of_cdr
 from .definitions import type_hash
 from .recorder import Recorder, RecorderSettings, RecordingResult, Serialized
 from .recording_marker import RecordingMarker
-from .schema import CALIBRATION_ATTACHMENT, TOPICS, SessionMetadata, spec_of
+from .schema import CALIBRATION_ATTACHMENT, TOPICS, SessionMetadata, full_name, spec_of
 from .stamp_gaps import StampGaps
 
 
@@ -187,6 +187,7 @@ class RecorderNode(ManagedNode):
             message_class(kind)
             if not type_hash(kind):
                 self._definitions[kind] = message_text(kind)
+            full_name(name)  # refuses what ROS does not take
             absolute = self.resolve_topic_name(name)
             rate = (spec.rate if spec is not None else None) or 0.0
             kept: deque[Serialized] = deque(maxlen=spec.latched if spec is not None else 0)
@@ -634,7 +635,14 @@ class RecorderNode(ManagedNode):
         self.log_fault(self._health, "recording", f"NOT RECORDING: {text}", ERROR)
 
 
+class RecordingCommand(RecorderNode):
+    """The recorder of `finger-bag record`: a recording that cannot begin ends it."""
+
+    ONE_TASK = True
+
+
 main = main_of(RecorderNode)
+record = main_of(RecordingCommand, "finger-bag")
 
 if __name__ == "__main__":
     main()

@@ -114,7 +114,7 @@ def test_record_gives_the_node_its_settings(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     calls: list[list[str]] = []
-    node = SimpleNamespace(main=calls.append)
+    node = SimpleNamespace(record=calls.append)
     monkeypatch.setitem(sys.modules, "finger_bag.recorder_node", node)
     assert run(command, ["record", "-o", str(tmp_path / "new"), *options]) == 0
     (arguments,) = calls

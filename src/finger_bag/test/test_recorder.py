@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -323,3 +324,56 @@ def test_recorder_node_records_serialized_messages_over_dds(
         metadata = reader.info.metadata
         assert (metadata.subject, metadata.condition) == ("S07", "dry")
         assert reader.attachment("plate_calibration.yaml") == b"a: 1\n"
+
+
+def test_a_recording_that_cannot_begin_ends_at_once_with_one_sentence(
+    ros_domain: int, process: Any, tmp_path: Path
+) -> None:
+    """A node of its own would wait to be corrected: nobody would see that nothing is recorded."""
+    pytest.importorskip("rclpy")
+    said = {
+        ("--topics", "nosuch"): "'nosuch' is not in the bag schema",
+        ("--topics", "wrench", "x=nosuch_msgs/msg/Y"): "'nosuch_msgs/msg/Y' is not installed",
+        ("--topics", "a b=std_msgs/msg/Header"): "'a b' is not a topic name",
+        ("--calibration", "missing.yaml"): "missing.yaml: no such file to attach",
+        ("--minimum-free", str(1 << 60)): "make room or choose another disk",
+        ("--namespace", "a b"): "namespace 'a b' is not one of ROS",
+    }
+    record = ("-m", "finger_common.entry", "finger_bag.cli", "record", "-o", str(tmp_path / "bag"))
+    children = {text: process(*record, *options) for options, text in said.items()}
+    for text, child in children.items():
+        assert child.wait(60) == 2
+        output = child.output.read_text()
+        assert text in output and output.count("\n") == 1 and output.startswith("finger")
+    assert not (tmp_path / "bag").exists()
+
+
+@pytest.mark.parametrize("main", ["finger_bag.recorder_node", "finger_bringup.composed_node"])
+def test_a_terminal_that_is_closed_ends_a_recorder_with_its_bag_closed(
+    ros_domain: int, process: Any, tmp_path: Path, main: str
+) -> None:
+    """Alone and among composed nodes; under nohup it records on."""
+    pytest.importorskip("rclpy")
+    member = ("/hand=finger_bag.recorder_node",) if "composed" in main else ()
+
+    def recorder(name: str, **options: Any) -> Any:
+        given = {"record_at_start": "true", "folder": tmp_path, "bag_name": name}
+        parameters = (f"-p {key}:={value}" for key, value in given.items())
+        words = " ".join(parameters).split()
+        return process("-m", main, *member, "--ros-args", *words, **options)
+
+    ignoring = partial(signal.signal, signal.SIGHUP, signal.SIG_IGN)
+    children = [recorder("closed"), recorder("nohup", preexec_fn=ignoring)]
+    for child in children:
+        while "recording into" not in child.output.read_text():
+            assert child.poll() is None
+            time.sleep(0.05)
+        child.send_signal(signal.SIGHUP)
+    assert children[0].wait(60) >= 0
+    assert (tmp_path / "closed" / "metadata.yaml").is_file()
+    assert "recorded 0 messages" in children[0].output.read_text()
+    time.sleep(0.5)
+    assert children[1].poll() is None
+    children[1].send_signal(signal.SIGTERM)
+    children[1].wait(60)
+    assert (tmp_path / "nohup" / "metadata.yaml").is_file()

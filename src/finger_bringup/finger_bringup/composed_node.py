@@ -20,7 +20,6 @@ from __future__ import annotations
 import argparse
 import importlib
 import os
-import signal
 import sys
 import threading
 import time
@@ -36,7 +35,7 @@ from rclpy.signals import SignalHandlerOptions
 from finger_common.cli import EXIT_BAD_INPUT, one_line
 from finger_common.errors import FingerError, InputError
 from finger_common.node import ManagedNode, use_large_shared_memory
-from finger_common.node.running import END_SIGNALS, say_farewell, why_not_begun
+from finger_common.node.running import handle_end_signals, say_farewell, why_not_begun
 from finger_common.priority import run_in_real_time
 
 from .restarts import RestartDelay
@@ -157,8 +156,7 @@ def _main(argv: Sequence[str]) -> int:
         print(f"composed_node: {why_not_begun(error)}", file=sys.stderr)
         return EXIT_BAD_INPUT
     ending = threading.Event()
-    for number in END_SIGNALS:
-        signal.signal(number, lambda *_: ending.set())
+    handle_end_signals(lambda *_: ending.set())
     for member in members:
         member.start()
     latest = time.monotonic() + COMING_UP

@@ -13,7 +13,7 @@ import tempfile
 import textwrap
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +26,8 @@ from ..cli import EXIT_BAD_INPUT, one_line
 from ..errors import FingerError
 from .managed import ManagedNode
 
-END_SIGNALS = (signal.SIGINT, signal.SIGTERM)
-"""Signals that end a node."""
+END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Signals that end a node; SIGHUP comes when its terminal is closed."""
 
 FAREWELL = 1.0
 """s at most in which a node that ends answers those who wait for it."""
@@ -46,8 +46,15 @@ def use_large_shared_memory() -> None:
         os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(profile))
 
 
+def handle_end_signals(handler: Callable[[int, Any], None]) -> None:
+    """Call `handler` on every signal that ends a node; SIGHUP stays ignored under nohup."""
+    for number in END_SIGNALS:
+        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, handler)
+
+
 class _SignalHandler:
-    """Ends a node's main thread on SIGINT and SIGTERM.
+    """Ends a node's main thread on a signal of END_SIGNALS.
 
     rclpy's own handlers end the context at once, before a node could publish its last state. Here
     a signal interrupts what comes before `spin`; during it, the running callback is finished first,
@@ -63,8 +70,7 @@ class _SignalHandler:
         """Whether a signal has interrupted what the main thread did."""
         reading, writing = os.pipe()
         os.set_blocking(writing, False)
-        for number in END_SIGNALS:
-            signal.signal(number, self._on_signal)
+        handle_end_signals(self._on_signal)
         # Python's handlers run only when the main thread is back from the middleware.
         signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
         threading.Thread(target=self._wake, args=(reading,), name="signals", daemon=True).start()
@@ -125,13 +131,19 @@ def why_not_begun(error: Exception) -> str:
     )
 
 
-def run_node(node_class: type[ManagedNode], argv: Sequence[str] | None = None) -> int:
+def run_node(
+    node_class: type[ManagedNode], argv: Sequence[str] | None = None, name: str = ""
+) -> int:
     """Run one node until a signal ends it; returns the exit code, 2 for one that could not begin.
 
     A configuration that fails leaves the node up, unconfigured, so that parameters can be corrected
-    and the transition tried again; it ends a node of one task, which nobody corrects. SIGINT and
-    SIGTERM end it with the device released.
+    and the transition tried again; it ends a node of one task, which nobody corrects. SIGINT,
+    SIGTERM and SIGHUP end it with the device released.
+
+    name: of the command that runs the node, before the sentence on its failure; the node's where it
+    is empty.
     """
+    name = name or node_class.NAME
     use_large_shared_memory()
     try:
         rclpy.init(
@@ -139,7 +151,7 @@ def run_node(node_class: type[ManagedNode], argv: Sequence[str] | None = None) -
             signal_handler_options=SignalHandlerOptions.NO,
         )
     except Exception as error:
-        print(f"{node_class.NAME}: {why_not_begun(error)}", file=sys.stderr)
+        print(f"{name}: {why_not_begun(error)}", file=sys.stderr)
         return EXIT_BAD_INPUT
     node: ManagedNode | None = None
     executor = SingleThreadedExecutor()
@@ -154,7 +166,7 @@ def run_node(node_class: type[ManagedNode], argv: Sequence[str] | None = None) -
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except FingerError as error:
-        print(f"{node_class.NAME}: {one_line(error)}", file=sys.stderr)
+        print(f"{name}: {one_line(error)}", file=sys.stderr)
         began = node is not None and node.active and not node.ONE_TASK
         return 1 if began else EXIT_BAD_INPUT
     finally:
@@ -190,14 +202,17 @@ def help_text(node_class: type[ManagedNode]) -> str:
     return "\n".join(lines)
 
 
-def main_of(node_class: type[ManagedNode]) -> Any:
-    """`main` function of a node's executable; its `node_class` is for processes of many nodes."""
+def main_of(node_class: type[ManagedNode], name: str = "") -> Any:
+    """`main` function of a node's executable; its `node_class` is for processes of many nodes.
+
+    name: as of `run_node`.
+    """
 
     def main(argv: Sequence[str] | None = None) -> None:
         if {"-h", "--help"} & set(sys.argv[1:] if argv is None else argv):
             print(help_text(node_class))
             return
-        code = run_node(node_class, argv)
+        code = run_node(node_class, argv, name)
         # Daemon threads of the middleware can hang at interpreter exit.
         os._exit(code)
 
