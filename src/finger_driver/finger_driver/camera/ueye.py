@@ -80,6 +80,8 @@ class UeyeSource(CameraSource):
         self._camera: Any = None
         self._memories: list[tuple[Any, Any]] = []
         self._mapper = ClockMapper(_TICKS)
+        self._newest: tuple[int, int] | None = None
+        """Number and device time of the last frame."""
 
     def _check(self, code: Any, what: str) -> None:
         code = int(code)
@@ -132,6 +134,7 @@ class UeyeSource(CameraSource):
         self._width, self._height = width, height
         self._pitch = self._inquire_pitch(u, width)
         self._mapper.restart()
+        self._newest = None
         self._last_frame = time.monotonic()
         self._next_number = None
         name = bytes(info.strSensorName).split(b"\0")[0].decode("ascii", "replace")
@@ -172,8 +175,8 @@ class UeyeSource(CameraSource):
         """Release what waits in the queue."""
         self._next_number = None
         for _ in range(_BUFFERS):
-            if self._camera is None or self.read(0.0) is None:
-                break
+            if self._camera is not None:
+                self.read(0.0)
         # They waited: their receipt tells nothing of the clock, and those between were not wanted.
         self._mapper.restart()
         self._next_number = None
@@ -208,9 +211,15 @@ class UeyeSource(CameraSource):
         self._last_frame = time.monotonic()
         self.cleared("transfer")
         image = np.asarray(data, dtype=np.uint8).reshape(self._height, self._pitch)
-        sequence = int(info.u64FrameNumber)
+        sequence, ticks = int(info.u64FrameNumber), int(info.u64TimestampDevice)
+        repeated, self._newest = self._newest == (sequence, ticks), (sequence, ticks)
+        self.note_if(
+            repeated, "repeated", "a frame was handed out again, and left out; update the driver"
+        )
+        if repeated:
+            return None
         self.count_lost(sequence)
-        stamp = self._mapper.update(int(info.u64TimestampDevice), received)
+        stamp = self._mapper.update(ticks, received)
         self.health.notes.update(self._mapper.notes())
         self.note_if(
             self._mapper.another_rate,
