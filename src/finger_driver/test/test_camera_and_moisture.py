@@ -107,10 +107,35 @@ def test_frames_that_come_late_are_told(tmp_path: Path) -> None:
     source = FolderSource(FolderSettings(path=str(tmp_path)))
     source.connect()
     path = FrameFolderWriter(tmp_path).write(time.time_ns(), picture())
-    here = time.time_ns()
-    source.clock.now = lambda: here + 4 * 10**9  # type: ignore[method-assign]
+    source.clock = HostClock(
+        lambda: time.time_ns() + 4 * 10**9, lambda: time.monotonic_ns() + 4 * 10**9
+    )
     assert path is not None and source.read(0.1) is not None
     assert source.health.faults["late"].startswith("frames come 4.0 s after their stamp")
+
+
+@pytest.mark.parametrize("step", [0.3, -0.3, 3600.0, -3600.0])
+def test_frames_follow_the_clock_of_the_node_over_a_step(tmp_path: Path, step: float) -> None:
+    """Of the system clock, by which the files are stamped; all frames stay in the folder."""
+    stepped = 0.0
+
+    def wall() -> int:
+        return time.time_ns() + round(stepped * 1e9)
+
+    writer = FrameFolderWriter(tmp_path, keep=50)
+    source = FolderSource(FolderSettings(path=str(tmp_path)))
+    source.clock = HostClock(wall)
+    source.connect()
+    for number in range(20):
+        if number == 10:
+            stepped = step
+        taken = source.clock.now()
+        writer.write(wall(), picture(number))
+        frame = source.read(1.0)
+        assert frame is not None and frame.sequence == number
+        assert abs(frame.stamp_ns - taken) < 20e6
+        assert source.read(0.0) is None
+    assert not source.health.faults and not source.health.counters["lost"]
 
 
 def test_missing_frames_are_counted_and_a_missing_folder_is_reported(tmp_path: Path) -> None:
@@ -436,6 +461,29 @@ def test_ueye_frames_that_waited_before_reading_began_tell_nothing() -> None:
     frame = source.read(0.1)
     assert frame is not None and source.health.counters["lost"] == 0
     assert source._mapper._minima.maxlen and not source._mapper._minima
+
+
+def test_ueye_frames_that_are_handed_out_twice_are_one_frame_with_the_stamp_of_the_first() -> None:
+    sdk = FakeUeye()
+    source = UeyeSource(UeyeSettings(rate=10.0), sdk=sdk)
+    source.connect()
+    sdk.started, host, taken = 0.0, 0.0, 0.0
+    source.clock.now = lambda: round((1e9 + host) * 1e9)  # type: ignore[method-assign]
+    sdk.now = lambda: 100.0 + taken
+    errors = []
+    for number in range(60):
+        taken = 0.1 * number
+        # Every seventh receipt is 80 ms late; the mapping takes that out of the stamp.
+        host = taken + (0.1 if number % 7 == 3 else 0.02)
+        sdk.number = number
+        frame = source.read(0.1)
+        assert frame is not None
+        errors.append(frame.stamp_ns * 1e-9 - 1e9 - taken - 0.02)
+        host, sdk.number = host + 0.04, number
+        assert source.read(0.1) is None
+    assert max(map(abs, errors)) < 1e-3
+    assert source.health.counters["repeated"] == 60 and "repeated" in source.health.faults
+    assert not source.health.counters["lost"]
 
 
 @pytest.mark.parametrize("rate", [1.0, 0.99])

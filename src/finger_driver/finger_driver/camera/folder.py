@@ -5,7 +5,7 @@
 
 A frame is a file `<stamp>_<sequence>.pgm` (or .png, .tif, .bmp): the acquisition time in ns since
 the epoch and the frame's number, in decimal. Files appear whole, by renaming. The writer keeps only
-the newest ones.
+the newest ones. A step of the system clock, by which the files are stamped, is taken out.
 """
 
 from __future__ import annotations
@@ -67,6 +67,8 @@ class FolderSource(CameraSource):
         self._folder = Path(settings.path)
         self._connected = False
         self._last = (0, -1)
+        self._done: set[str] = set()
+        """Files of frames that were taken or are too old: a step of the clock makes none new."""
 
     def connect(self) -> None:
         if not self._folder.is_dir():
@@ -93,11 +95,13 @@ class FolderSource(CameraSource):
             if waiting:
                 if len(waiting) > _BACKLOG:
                     self.health.count("skipped", len(waiting) - _BACKLOG)
+                    self._done.update(name for _, name in waiting[:-_BACKLOG])
                     waiting = waiting[-_BACKLOG:]
                     # Skipped is not lost.
                     self._next_number = waiting[0][0][1]
                 key, name = waiting[0]
                 self._last = key
+                self._done.add(name)
                 frame = self._load(key, name)
                 if frame is not None:
                     return frame
@@ -107,17 +111,22 @@ class FolderSource(CameraSource):
             time.sleep(_POLL)
 
     def _waiting(self) -> list[tuple[tuple[int, int], str]]:
+        """New frames, the oldest first: stamp on the node's clock and number, name of the file."""
         if not self._connected:
             raise DeviceError(f"{self._folder}: not connected")
-        now, names = self.clock.now(), self._names()
+        now, names, shift = self.clock.now(), self._names(), self.clock.of_wall(0)
         found, ahead = [], 0
-        for name in names:
-            key = parse_name(name)
-            if key is not None and key > self._last:
-                if key[0] > now + nanoseconds(_AHEAD):
-                    ahead += 1
-                else:
-                    found.append((key, name))
+        self._done &= names
+        for name in names - self._done:
+            if (stamped := parse_name(name)) is None:
+                continue
+            key = (stamped[0] + shift, stamped[1])
+            if key <= self._last:
+                self._done.add(name)
+            elif key[0] > now + nanoseconds(_AHEAD):
+                ahead += 1
+            else:
+                found.append((key, name))
         self.note_if(
             ahead > 0,
             "ahead",
@@ -151,7 +160,7 @@ class FolderSource(CameraSource):
     def _note_left_out(self, names: set[str]) -> None:
         """Name a file that is new and yet no new frame."""
         fresh = {name for name in names - self._known if not name.startswith(".")}
-        old = {name for name in fresh if (key := parse_name(name)) and key <= self._last}
+        old = fresh & self._done
         other = {name for name in fresh if parse_name(name) is None}
         if old:
             self.note(
