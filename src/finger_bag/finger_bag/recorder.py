@@ -162,6 +162,8 @@ class Recorder:
         self._content = _Content()
         self._errors: list[str] = []
         self._interrupted = ""
+        self._device = 0
+        """Disk of the recording that runs, or ran last."""
         self.parts: list[Path] = []
         """Bags of the recording that runs, or ran last."""
         self.last_flush = 0.0
@@ -210,19 +212,22 @@ class Recorder:
         self._content = _Content(metadata, topics or {}, attachments or {}, definitions or {})
         writer = self._open(Path(path), self.settings.minimum_free, further)
         self._lost, self._before, self._errors, self.parts = Counter(), Counter(), [], []
+        self._device = writer.path.parent.stat().st_dev
         self._begin(writer)
         return writer.path
 
     def resume(self) -> Path:
         """Continue an interrupted recording in a further bag beside the first.
 
-        Raises InputError when that is not possible yet, or nothing was interrupted.
+        Raises InputError when that is not possible yet, as while its folder is not there, or
+        nothing was interrupted.
         """
         if not self.interrupted:
             raise InputError("no recording was interrupted")
         first = self.parts[0]
         number = len(self.parts) + 1
         try:
+            self._check_folder(first)
             while (path := first.with_name(f"{first.name}_part{number}")).exists():
                 number += 1
             # A little more room than that at which it ends again.
@@ -234,6 +239,18 @@ class Recorder:
         self._before.update(self._part_counts())
         self._begin(writer)
         return path
+
+    def _check_folder(self, first: Path) -> None:
+        """Refuse to make the folder of a recording anew: where its disk is not connected, that
+        would be on another one."""
+        try:
+            device: int | None = first.parent.stat().st_dev
+        except (FileNotFoundError, NotADirectoryError):
+            device = None
+        # A disk that is connected again may have another number.
+        if device != self._device and not first.exists():
+            self._interrupted = f"{first.parent}: the folder is gone; is its disk connected?"
+            raise InputError(self._interrupted)
 
     def _open(self, path: Path, needed: int, further: bool = False) -> BagWriter:
         settings, content = self.settings, self._content

@@ -71,6 +71,7 @@ def test_a_disk_that_was_pulled_out_is_waited_for(
     def gone(path: Path) -> bool:
         raise OSError(errno.EIO, os.strerror(errno.EIO))
 
+    (tmp_path / "a").mkdir()
     with monkeypatch.context() as patched:
         patched.setattr(Path, "exists", gone)
         with pytest.raises(InputError, match="cannot be reached"):
@@ -98,6 +99,12 @@ def test_a_removed_folder_is_noticed_and_the_recording_goes_on_beside_it(tmp_pat
     wait_for(lambda: errors, "the error", feed)
     assert "removed or renamed" in errors[0] and not recorder.recording
     feed(20)
+    # Where a disk was pulled out, its folder would be made anew on another one.
+    for _ in range(2):
+        with pytest.raises(InputError, match="a: the folder is gone; is its disk connected?"):
+            recorder.resume()
+    assert "is its disk connected?" in recorder.interrupted and not (tmp_path / "a").exists()
+    (tmp_path / "a").mkdir()
     assert recorder.resume() == tmp_path / "a" / "bag_part2" and recorder.recording
     resumed_at = feed.number
     feed(300)
@@ -107,6 +114,25 @@ def test_a_removed_folder_is_noticed_and_the_recording_goes_on_beside_it(tmp_pat
     assert read(tmp_path / "a" / "bag_part2") == list(range(resumed_at, feed.number))
     with open_bag(tmp_path / "a" / "bag_part2") as reader:
         assert reader.info.complete and reader.info.metadata.subject == "S01"
+
+
+def test_nothing_is_written_where_a_disk_was_mounted_until_it_is_there_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The empty folder that is left is of another disk; the disk comes back by another number."""
+    place = tmp_path / "disk"
+    recorder, feed, errors = recording(place / "bag")
+    place.rename(tmp_path / "pulled")
+    place.mkdir()
+    wait_for(lambda: errors, "the error", feed)
+    monkeypatch.setattr(recorder, "_device", -1)
+    with pytest.raises(InputError, match="is its disk connected?"):
+        recorder.resume()
+    assert not list(place.iterdir())
+    place.rmdir()
+    (tmp_path / "pulled").rename(place)
+    assert recorder.resume() == place / "bag_part2"
+    recorder.stop()
 
 
 def test_what_a_removed_folder_held_is_lost_although_it_was_flushed(tmp_path: Path) -> None:
