@@ -101,7 +101,7 @@ def test_a_removed_folder_is_noticed_and_the_recording_goes_on_beside_it(tmp_pat
     feed(20)
     # Where a disk was pulled out, its folder would be made anew on another one.
     for _ in range(2):
-        with pytest.raises(InputError, match="a: the folder is gone; is its disk connected?"):
+        with pytest.raises(InputError, match=r"a: the folder is gone; is its disk connected\?"):
             recorder.resume()
     assert "is its disk connected?" in recorder.interrupted and not (tmp_path / "a").exists()
     (tmp_path / "a").mkdir()
@@ -126,7 +126,7 @@ def test_nothing_is_written_where_a_disk_was_mounted_until_it_is_there_again(
     place.mkdir()
     wait_for(lambda: errors, "the error", feed)
     monkeypatch.setattr(recorder, "_device", -1)
-    with pytest.raises(InputError, match="is its disk connected?"):
+    with pytest.raises(InputError, match=r"is its disk connected\?"):
         recorder.resume()
     assert not list(place.iterdir())
     place.rmdir()

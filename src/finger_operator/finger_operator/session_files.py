@@ -12,6 +12,7 @@ from finger_bag.bag_files import METADATA
 from finger_bag.streams import TrialEvent
 from finger_common.cli import one_line
 from finger_common.errors import InputError
+from finger_common.files import exists
 from finger_common.stamps import seconds
 
 from .event_log import EventLog
@@ -44,14 +45,25 @@ class SessionFiles:
         self._session = session
         self._tell = tell
         self._tried_ns = 0
+        self._saved = False
+
+    @property
+    def gone(self) -> str:
+        """That the folder, in which the session was saved, is not there any longer; empty where it
+        is. It is not made anew, as that could be on another disk."""
+        lost = self._saved and not exists(self._folder)
+        return "the folder is gone, as of a disk that is not connected" if lost else ""
 
     def save(self, state: bool = True) -> None:
         """Write the state file, the table of trials and the event log; without `state` the log
         alone."""
         session = self._session()
         try:
+            if self.gone:
+                raise InputError(self.gone)
             if state:
                 save_state(self._folder, session)
+                self._saved = True
             self.log.save()
             if session.step in BETWEEN:
                 save_table(self._folder, session.trials, self.log)

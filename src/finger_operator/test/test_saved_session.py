@@ -19,7 +19,7 @@ from finger_common.errors import InputError
 from finger_operator.event_log import EventLog
 from finger_operator.limits import Limits
 from finger_operator.protocol import Effect, Protocol
-from finger_operator.recording import StopRecording
+from finger_operator.recording import StartRecording, StopRecording
 from finger_operator.session_store import STATE_FILE
 from finger_operator.status import session_status
 from finger_operator.steps import Step
@@ -192,6 +192,27 @@ def test_a_finished_session_is_saved_as_soon_as_it_can_be(
     with (rig.folder / "trials.csv").open() as file:
         assert [row["verdict"] for row in csv.DictReader(file)] == ["done"]
     rig.protocol.files.write_all()
+
+
+def test_a_session_whose_folder_is_gone_is_not_begun_anew_on_another_disk(
+    rig: Rig, tmp_path: Path
+) -> None:
+    rig.trial()
+    rig.folder.rename(tmp_path / "away")
+    rig.run(6.0)
+    begun = sum(isinstance(e, StartRecording) for e in rig.effects)
+    rig.protocol.start(rig.now)
+    rig.run(6.0)
+    assert rig.protocol.paused and "the folder is gone" in rig.protocol.message
+    assert "the folder is gone" in session_status(rig.protocol)["warnings"][0]
+    assert not rig.folder.exists()
+    assert sum(isinstance(e, StartRecording) for e in rig.effects) == begun
+    (tmp_path / "away").rename(rig.folder)
+    rig.protocol.resume(rig.now)
+    rig.trial()
+    assert not rig.protocol.files.problem
+    saved = json.loads((rig.folder / STATE_FILE).read_text())
+    assert [t["verdict"] for t in saved["trials"]][:2] == ["done", "done"]
 
 
 def test_the_log_of_a_press_hides_no_state_that_could_not_be_saved(
