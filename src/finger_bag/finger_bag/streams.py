@@ -62,12 +62,14 @@ MOISTURE_BEFORE, MOISTURE_AFTER = 1, 2
 
 @dataclass(frozen=True)
 class MoistureReading:
-    """One reading (a.u.); phase: 0 unknown, 1 before, 2 after the press; flags as in Moisture."""
+    """One reading (a.u.); phase: 0 unknown, 1 before, 2 after the press; flags as in Moisture;
+    log_ns: log time, None where it is not from a bag."""
 
     stamp_ns: int
     value: float
     phase: int = 0
     flags: int = 0
+    log_ns: int | None = None
 
 
 @dataclass(frozen=True)
@@ -363,9 +365,10 @@ def _indentation(item: BagMessage, mapped: MappedTopic) -> tuple[int, float]:
 def _moisture(item: BagMessage, mapped: MappedTopic) -> MoistureReading:
     stamp, value = stamp_and_value(item, mapped)
     if value is not None:
-        return MoistureReading(stamp, value)
+        return MoistureReading(stamp, value, log_ns=item.log_time_ns)
     message = item.message
-    return MoistureReading(stamp, float(message.value), int(message.phase), int(message.flags))
+    phase, flags = int(message.phase), int(message.flags)
+    return MoistureReading(stamp, float(message.value), phase, flags, item.log_time_ns)
 
 
 def _trial(item: BagMessage, mapped: MappedTopic) -> TrialEvent:

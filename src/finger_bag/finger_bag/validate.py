@@ -49,6 +49,10 @@ RATE_TOLERANCE = 0.1
 MAXIMUM_DELAY, MAXIMUM_LEAD = 1.0, 0.05
 """s of the log time behind the stamp, and before it: clocks that disagree (medians)."""
 
+MOISTURE_DELAY, MOISTURE_LEAD = 60.0, 1.0
+"""The same of a reading: a table has whole seconds, and may be saved late, which is noted (median).
+"""
+
 SATURATED_SAMPLES, SATURATED_TIME = 25, 0.1
 """Equal extreme values in a row, and s of them, that count as a saturated sensor."""
 
@@ -246,21 +250,36 @@ def _check_streams(streams: SessionStreams, settings: ReadSettings, result: Vali
             status = FAIL
         result.add(f"rate of {name}", status, f"{rate:.1f} Hz (schema {expected:g} Hz)")
         _check_order(name, stamps, result)
-        mapped = [settings.mapping.topic(n).offset_ns for n in (name, f"{name}/compressed")]
-        # The stamps as recorded: those that a mapping moves are not those of the recorder's clock.
-        delay = (logs - stamps + (mapped[0] or mapped[1])) * 1e-9
-        middle = float(np.median(delay))
-        status = OK if -MAXIMUM_LEAD <= middle <= MAXIMUM_DELAY else FAIL
-        result.add(
-            f"log time of {name}",
-            status,
-            f"{middle * 1e3:.1f} ms behind the stamp (median; {delay.min() * 1e3:.1f} to "
-            f"{delay.max() * 1e3:.1f} ms)" + ("" if status == OK else "; clocks disagree"),
-        )
+        delay = _delay(stamps, logs, settings, name, f"{name}/compressed")
+        right = -MAXIMUM_LEAD <= float(np.median(delay)) <= MAXIMUM_DELAY
+        _add_log_time(name, delay, OK if right else FAIL, result)
+    readings = [(r.stamp_ns, r.log_ns) for r in streams.moistures if r.log_ns is not None]
+    if readings:
+        delay = _delay(*np.array(readings, np.int64).T, settings, "moisture")
+        late = float(np.median(delay)) > MOISTURE_DELAY
+        status = FAIL if delay.min() < -MOISTURE_LEAD else NOTE if late else OK
+        _add_log_time("moisture", delay, status, result)
     if len(streams.indentations):
         _check_order("indentation", streams.indentations["stamp_ns"], result)
     _check_gaps(streams, settings, result)
     _check_saturation(streams, result)
+
+
+def _delay(stamps: np.ndarray, logs: np.ndarray, settings: ReadSettings, *names: str) -> np.ndarray:
+    """s by which log times are behind the stamps as recorded: those that a mapping moves are not
+    those of the recorder's clock. names: under which the topic may be mapped."""
+    moved = next((o for n in names if (o := settings.mapping.topic(n).offset_ns)), 0)
+    return (logs - stamps + moved) * 1e-9
+
+
+def _add_log_time(name: str, delay: np.ndarray, status: str, result: Validation) -> None:
+    doubt = {OK: "", NOTE: "; clocks disagree, or they came late", FAIL: "; clocks disagree"}
+    result.add(
+        f"log time of {name}",
+        status,
+        f"{np.median(delay) * 1e3:.1f} ms behind the stamp (median; {delay.min() * 1e3:.1f} to "
+        f"{delay.max() * 1e3:.1f} ms){doubt[status]}",
+    )
 
 
 def _check_order(name: str, stamps: np.ndarray, result: Validation) -> None:

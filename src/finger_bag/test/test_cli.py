@@ -220,7 +220,9 @@ def damaged(path: Path, kind: str) -> Path:
             if kind not in ("no moisture", "neither"):
                 phase = 1 if number < 3 else 2
                 stamp = START + (0 if number < 3 else 8) * 10**9 + number * 10**8
-                bag.write("moisture", {"header": {"stamp": stamp}, "value": 50.0, "phase": phase})
+                late = -3600 * 10**9 if kind == "clock of the probe" else 500_000
+                fields = {"header": {"stamp": stamp}, "value": 50.0, "phase": phase}
+                bag.write("moisture", fields, stamp + late)
         for i in range(1750):
             t = i * 0.002
             stamp = START + 10**9 + round(t * 1e9)
@@ -270,6 +272,7 @@ def damaged(path: Path, kind: str) -> Path:
         ("slow", "rate of wrench"),
         ("stamps back", "stamp order of wrench"),
         ("clock", "log time of wrench"),
+        ("clock of the probe", "log time of moisture"),
         ("late images", "sync of force and image"),
         ("pictures without calibration", "calibration"),
         ("finger on the plate when it was learned", "areas"),

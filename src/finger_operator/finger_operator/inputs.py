@@ -24,6 +24,12 @@ REPORT_MEMORY = 3.0
 CLOCKS_APART = 0.3
 """s between the stamp of a force and its arrival from which the nodes disagree on the time."""
 
+CAMERA_APART = 1.0
+"""The same of a contact area against the force: an image takes its time to be measured."""
+
+AHEAD = 1.0
+"""s by which a reading may be stamped ahead of the protocol's clock."""
+
 NUMBER = re.compile(r"\d+([.,]\d+)*")
 
 LOGGED_SILENCE = 1.0
@@ -41,6 +47,25 @@ class _Sample:
     flags: int = 0
 
 
+class _Lag:
+    """s by which the stamps of a stream are behind the protocol's clock. A delay on the way adds to
+    it, so that the smallest one of the last samples counts; None before the first one."""
+
+    def __init__(self) -> None:
+        self._compared: _Sample | None = None
+        self._lags: deque[float] = deque(maxlen=20)
+
+    def compare(self, newest: _Sample | None, now_ns: int) -> None:
+        """Note the lag of the newest sample."""
+        if newest is not None and newest is not self._compared:
+            self._compared = newest
+            self._lags.append(seconds(now_ns - newest.stamp_ns))
+
+    @property
+    def least(self) -> float | None:
+        return min(self._lags, default=None)
+
+
 class Inputs:
     """Newest force (N), contact area (m²) and errors. `now_ns`: by the protocol's own clock; 0
     before its first reading."""
@@ -51,8 +76,7 @@ class Inputs:
         self._errors: dict[str, tuple[int, str]] = {}
         self._told: dict[str, set[str]] = {}
         """Messages of the errors that last, without their numbers, which may count the seconds."""
-        self._compared: _Sample | None = None
-        self._lags: deque[float] = deque(maxlen=20)
+        self._lag_of_force, self._lag_of_area = _Lag(), _Lag()
         self._silent: set[str] = set()
         self._zero = ""
 
@@ -66,16 +90,14 @@ class Inputs:
         self._force = _Sample(stamp_ns, now_ns or None, force)
 
     def compare_clocks(self, now_ns: int) -> None:
-        """Note the lag of the force; to be called when all that has come was added."""
-        if self._force is not None and self._force is not self._compared:
-            self._compared = self._force
-            self._lags.append(seconds(now_ns - self._force.stamp_ns))
+        """Note the lags of force and area; to be called when all that has come was added."""
+        self._lag_of_force.compare(self._force, now_ns)
+        self._lag_of_area.compare(self._area, now_ns)
 
     @property
     def force_lag(self) -> float:
-        """s by which the stamps of the force are behind the protocol's clock. A delay on the way
-        adds to it, so that the smallest one counts."""
-        return min(self._lags, default=0.0)
+        """s by which the stamps of the force are behind the protocol's clock."""
+        return self._lag_of_force.least or 0.0
 
     def clocks_apart(self) -> str:
         """That force and protocol disagree on the time, and the remedy; empty where they agree."""
@@ -85,6 +107,21 @@ class Inputs:
             f"the clocks of the force driver and the protocol are {abs(self.force_lag):.1f} s "
             "apart: the system clock was stepped between their starts, or the force comes from "
             "another computer; restart all nodes, or synchronise the computers"
+        )
+
+    def camera_apart(self, limits: Limits) -> str:
+        """That camera and force disagree on the time, and the remedy; empty where they agree, and
+        where no camera is needed."""
+        force, area = self._lag_of_force.least, self._lag_of_area.least
+        if not limits.need_camera or force is None or area is None:
+            return ""
+        apart = abs(area - force)
+        if apart <= CAMERA_APART:
+            return ""
+        return (
+            f"the clocks of camera and force are {apart:.1f} s apart: the system clock was stepped "
+            "between the starts of their drivers, or one of them is on another computer; restart "
+            "all nodes, or synchronise the computers"
         )
 
     def set_zero(self, zero: str) -> float | None:
@@ -108,19 +145,22 @@ class Inputs:
     ) -> str:
         """Why a moisture reading (a.u.) does not count in a step that began at `since_ns`; empty
         where it does."""
-        reading, early = f"Reading {value:g}", seconds(since_ns - stamp_ns)
+        reading, age = f"Reading {value:g}", seconds(now_ns - stamp_ns)
+        early = seconds(since_ns - stamp_ns)
+        wrong = ""
         # Tables have whole seconds.
         if early > (0.0 if stamp_ns % NANOSECONDS else 1.0):
+            wrong, clock = f"{early:.1f} s before this step", "late"
+        elif age < -AHEAD:
+            wrong, clock = f"{-age:.1f} s ahead of the protocol's clock", "fast"
+        if wrong:
             apart = self.clocks_apart()
-            as_late = abs(seconds(now_ns - stamp_ns) - self.force_lag) <= 1.0
             remedy = (
                 f"{apart}."
-                if apart and as_late
-                else "take another. If it was taken now, the clock of the probe is late."
+                if apart and abs(age - self.force_lag) <= 1.0
+                else f"take another. If it was taken now, the clock of the probe is {clock}."
             )
-            return (
-                f"{reading} is stamped {early:.1f} s before this step and does not count; {remedy}"
-            )
+            return f"{reading} is stamped {wrong} and does not count; {remedy}"
         if not is_moisture(value):
             low, high = MOISTURE_RANGE
             return f"{reading} is outside {low:g}–{high:g} a.u. and does not count; take another."
@@ -172,7 +212,7 @@ class Inputs:
                 return "no contact area comes from the camera"
             if area.value > 0.0 and not area.flags & AreaFlag.NO_CONTACT:
                 return "something is on the plate: lift the finger and clean the plate"
-        return ""
+        return self.camera_apart(limits)
 
 
 def _is_old(sample: _Sample, now_ns: int, limits: Limits) -> bool:

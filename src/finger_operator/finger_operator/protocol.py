@@ -579,8 +579,8 @@ class Protocol:
             self._log("warning", warning or back, of_trial=False)
 
     def check_clocks(self) -> None:
-        """Log where the force is stamped by a clock that is far from this one."""
-        if apart := self._inputs.clocks_apart():
+        """Log where force or camera is stamped by a clock that is far from the others."""
+        if apart := self._inputs.clocks_apart() or self._inputs.camera_apart(self.limits):
             self._log("warning", apart)
 
     def waiting_for(self) -> str:
@@ -599,6 +599,9 @@ class Protocol:
         return self.recording.is_late(self._now, self.limits.record_timeout)
 
     def _begin_attempt(self) -> None:
+        if gone := self.files.gone:
+            self._hold(f"{self.folder}: {gone}. Bring it back, then resume.")
+            return
         condition = self._queue.trial.condition
         attempt = self._queue.begin_attempt(self.folder, self._now)
         kind = Pull if is_pull(condition) else Press

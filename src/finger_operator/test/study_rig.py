@@ -36,6 +36,7 @@ class Rig:
         self.zero = 0.0
         """N, what the sensor reads as none; the camera sees the finger all the same."""
         self.force_offset = 0
+        self.camera_offset = 0
         self.folder = folder
         self.protocol = Protocol(
             StudyPlan("S01", "S01_test", **plan), folder, self.take, self.limits
@@ -79,7 +80,8 @@ class Rig:
                 if self.camera_on:
                     touching = self.force > 0.02 or self.print_left
                     area = 40e-6 * max(self.force, 0.1) ** 0.7 if touching else 0.0
-                    self.protocol.area(self.now, area, 0 if touching else 1)
+                    stamp = self.now + self.camera_offset
+                    self.protocol.area(stamp, area, 0 if touching else 1)
             if self.now >= self.next_tick:
                 self.next_tick += 50_000_000
                 self.protocol.tick(self.now)

@@ -31,6 +31,41 @@ def test_a_reading_is_late_by_itself_or_with_the_force(
     assert rig.attempt.moisture_before == []
 
 
+def test_a_reading_of_the_future_does_not_count(rig: Rig) -> None:
+    """A moisture node that was started again after a step of the clock."""
+    rig.run(0.2)
+    rig.protocol.start(rig.now)
+    rig.run(2.0)
+    for _ in range(3):
+        rig.protocol.moisture(rig.now + 3600 * SECOND, 50.0)
+    assert "stamped 3600.0 s ahead of the protocol's clock and does not count" in rig.last.note
+    assert "the clock of the probe is fast" in rig.last.note
+    assert rig.attempt.moisture_before == []
+    # Rounded up to a whole second, as of a table.
+    rig.protocol.moisture(rig.now + -rig.now % SECOND, 50.0)
+    assert rig.attempt.moisture_before == [50.0]
+
+
+@pytest.mark.parametrize("offset", [-3600, -2, 2, 3600])
+def test_no_press_begins_while_the_clocks_of_camera_and_force_are_apart(
+    rig: Rig, offset: int
+) -> None:
+    """It would be thrown away, as no frame was at its force."""
+    rig.camera_offset = offset * SECOND
+    rig.run(3.0)
+    rig.protocol.start(rig.now)
+    rig.readings(37.0, 38.0, 39.0)
+    rig.run(3.0)
+    assert rig.protocol.step is Step.CLEAR and rig.protocol.trials[0].attempts == [rig.attempt]
+    apart = f"the clocks of camera and force are {abs(offset)}.0 s apart"
+    assert apart in rig.protocol.waiting_for() and "restart" in rig.protocol.waiting_for()
+    rig.protocol.check_clocks()
+    assert apart in clock_warnings(rig)[0]
+    rig.camera_offset = -SECOND // 2  # as of a slow computer
+    rig.run(4.0)
+    assert rig.protocol.step is Step.PRESS
+
+
 def test_each_step_of_the_system_clock_is_an_event(rig: Rig) -> None:
     for step in (0.0, 1e-4, 3600.0, 3600.001, 7200.0, 0.0):
         rig.protocol.clock_stepped(step, f"stepped by {step:g} s" if step > 1.0 else "")
