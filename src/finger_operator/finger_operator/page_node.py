@@ -15,7 +15,7 @@ import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import nullcontext
+from contextlib import AbstractAsyncContextManager, nullcontext
 from typing import Any, TypeVar
 
 import cv2
@@ -47,7 +47,7 @@ from finger_msgs.srv import SetMoisture
 
 from .normal_force import NormalForce
 from .page.access import is_loopback
-from .page.commands import COMMANDS, PARAMETERS, SUBJECT, stale
+from .page.commands import COMMANDS, PARAMETERS, SUBJECT, readings_of, stale
 from .page.feed import (
     AREA_DOUBTS,
     ESTIMATE,
@@ -72,6 +72,9 @@ POLL = 0.04
 
 ALIVE = 0.2
 """s between messages that say which values are fresh and what is wrong."""
+
+TOLD = 1.0
+"""s at most in which the protocol tells what became of a reading."""
 
 PLANNED = "protocol/get_parameters"
 """Service that tells the plan of the next session."""
@@ -120,7 +123,8 @@ class PageNode(ManagedNode):
         self._callers = {name: self.create_client(kind, name) for name, kind in kinds.items()}
 
     def activate(self) -> None:
-        self._jobs, self._turn = Jobs(self), asyncio.Lock()
+        self._jobs = Jobs(self)
+        self._turn, self._turn_of_readings = asyncio.Lock(), asyncio.Lock()
         self._memory = ForceMemory()
         self._curves = CurveMemory()
         self._preparing: tuple[int, str, dict[str, Any]] | None = None
@@ -342,9 +346,12 @@ class PageNode(ManagedNode):
 
     async def _command(self, name: str, arguments: dict[str, Any]) -> tuple[bool, str]:
         """Success and a sentence, for the browser that gave a command; in the server's thread."""
-        of_protocol = COMMANDS[name].service.startswith("protocol/")
-        # What one command sets there must not change before that one has been carried out.
-        async with self._turn if of_protocol else nullcontext():
+        if COMMANDS[name].service.startswith("protocol/"):
+            # What one command sets there must not change before that one has been carried out.
+            turn: AbstractAsyncContextManager[Any] = self._turn
+        else:
+            turn = self._turn_of_readings if name == "moisture" else nullcontext()
+        async with turn:
             return await self._carry_out(name, arguments)
 
     async def _carry_out(self, name: str, arguments: dict[str, Any]) -> tuple[bool, str]:
@@ -358,19 +365,33 @@ class PageNode(ManagedNode):
                 return False, reason
         if command.service in ("", PARAMETERS):
             return True, command.answer(arguments, self._status)
+        status = self._status
         response = await self._call(command.service, request)
         if name == "tare" and response.success:
             await self._in_node(self._forget_curves)
         message = response.message
-        in_session = name == "moisture" and self._status["step"] != "closed"
-        if in_session and response.success and request.phase == Moisture.PHASE_UNKNOWN:
-            return False, f"{message}; it does not count: no reading is asked for now"
+        in_session = name == "moisture" and status["step"] != "closed"
+        if in_session and response.success:
+            if request.phase == Moisture.PHASE_UNKNOWN:
+                return False, f"{message}; it does not count: no reading is asked for now"
+            await self._await_reading(status)
         return response.success, message
+
+    async def _await_reading(self, before: dict[str, Any]) -> None:
+        """Wait until the status shows what became of a reading, but not for long: what comes next
+        is compared with it."""
+
+        def shown(status: dict[str, Any]) -> tuple[Any, ...]:
+            return (status.get("step"), status.get("message"), readings_of(status))
+
+        end = time.monotonic() + TOLD
+        while shown(self._status) == shown(before) and time.monotonic() < end:
+            await asyncio.sleep(0.01)
 
     def _begin(self, name: str, arguments: dict[str, Any]) -> Any:
         """Request of the command's service; raises InputError where it is not to be carried out.
 
-        Takes SEEN out of the arguments.
+        Takes SEEN and SEEN_READINGS out of the arguments.
         """
         step = self._status.get("step")
         if reason := stale(arguments, self._status):

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import aiohttp
@@ -226,6 +227,37 @@ def test_a_session_with_readings_needs_a_probe(
         while missing(3):
             assert time.monotonic() < end
         node.destroy_publisher(probe)
+
+
+def test_a_reading_that_is_entered_on_two_pages_at_once_counts_once(
+    ros_domain: int, free_port: Callable[[], int]
+) -> None:
+    with page_here(ros_domain, free_port()) as (node, _):
+        node._in_node = here
+        node._status = {"session": "S01_a", "index": 0, "step": "moisture_before"}
+        entered: list[float] = []
+
+        async def probe(service: str, request: Any) -> Any:
+            entered.append(request.value)
+            told = {**node._status, "moisture_before": [*entered]}
+            # The protocol's word comes after the answer of the moisture node.
+            asyncio.get_running_loop().call_later(0.1, setattr, node, "_status", told)
+            return SimpleNamespace(success=True, message="published")
+
+        async def enter_twice(value: float) -> list[Any]:
+            given = {"value": value, "seen_trial": 0, "seen_readings": len(entered)}
+            commands = [node._command("moisture", dict(given)) for _ in range(2)]
+            return await asyncio.gather(*commands, return_exceptions=True)
+
+        async def enter() -> None:
+            for number, value in enumerate((42.0, 43.0), 1):
+                first, second = await enter_twice(value)
+                assert first == (True, "published")
+                assert f"a reading of {value:g} came meanwhile; look, and try again" in str(second)
+                assert len(entered) == number
+
+        node._call = probe
+        asyncio.run(enter())
 
 
 def test_messages_of_another_format_are_left_out_and_named(

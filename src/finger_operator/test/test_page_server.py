@@ -450,6 +450,11 @@ def test_commands_for_what_is_no_longer_there_are_refused() -> None:
     assert stale({"seen_session": "S01_a", "seen_trial": 1}, now) == "session S02_a is open"
     assert stale({"seen_session": "S01_a"}, closed) == "no session is open"
     assert stale({"seen_trial": 0, "seen_step": "prepare"}, now) == "trial 2 is at 'prepare'"
+    reading = {"seen_trial": 1, "seen_readings": 1}
+    taken = {**now, "moisture_before": [41.0], "moisture_after": []}
+    assert stale(dict(reading), taken) == ""
+    assert stale(dict(reading), {**taken, "moisture_after": [42.5]}) == "a reading of 42.5 came"
+    assert stale(dict(reading), now) == "trial 2 is at 'prepare'"
     given = {"index": 0, "seen_step": "done"}
     assert stale(given, now) and given == {"index": 0}
     assert {"start", "calibrate", "pause", "resume", "redo", "repeat", "skip", "end", "abort",

@@ -20,6 +20,8 @@ SEEN: dict[str, type] = {"seen_session": str, "seen_trial": int, "seen_step": st
 `seen_step` is "closed" where no session was open.
 """
 
+SEEN_READINGS = "seen_readings"
+"""Number of readings of the trial that a browser showed when its operator typed another one."""
 
 PARAMETERS = "protocol/set_parameters"
 """Service that takes what a command sets."""
@@ -96,12 +98,13 @@ COMMANDS: dict[str, Command] = {
         ),
     ),
     "tare": Command({}, "force/tare"),
-    "moisture": Command({"value": float, **SEEN}, "moisture/set_moisture"),
+    "moisture": Command({"value": float, **SEEN, SEEN_READINGS: int}, "moisture/set_moisture"),
     "curves": Command({}),
 }
 
 OPTIONAL = {
     *SEEN,
+    SEEN_READINGS,
     SUBJECT,
     *("age", "hand", "finger", "finger_width", "finger_depth", "order", "order_seed"),
 }
@@ -111,18 +114,29 @@ OPTIONAL = {
 def stale(arguments: dict[str, Any], status: Mapping[str, Any]) -> str:
     """What has begun since the browser showed what the operator meant; empty when nothing has.
 
-    Takes SEEN out of the arguments. status: of the session.
+    Takes SEEN and SEEN_READINGS out of the arguments. status: of the session.
     """
-    seen = {key: arguments.pop(key) for key in SEEN if key in arguments}
+    wanted = (*SEEN, SEEN_READINGS)
+    seen = {key: arguments.pop(key) for key in wanted if key in arguments}
     session, index, step = (status.get(key) for key in ("session", "index", "step"))
+    taken = readings_of(status)
     now = {"seen_session": session, "seen_trial": index, "seen_step": step}
-    if all(now[key] == value for key, value in seen.items()):
+    now[SEEN_READINGS] = len(taken)
+    other = {key for key, value in seen.items() if now[key] != value}
+    if not other:
         return ""
     if index is None:
         return "no session is open"
-    if seen.get("seen_session", session) != session:
+    if "seen_session" in other:
         return f"session {session} is open"
+    if other == {SEEN_READINGS} and taken:
+        return f"a reading of {taken[-1]:g} came"
     return f"trial {index + 1} is at '{step}'"
+
+
+def readings_of(status: Mapping[str, Any]) -> list[float]:
+    """Moisture readings (a.u.) that the trial under way has, those before the press first."""
+    return [*status.get("moisture_before", ()), *status.get("moisture_after", ())]
 
 
 def check_command(message: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:

@@ -629,8 +629,14 @@ $("third").onchange = () => {
   charts.draw();
   showNumbers();
 };
-// A reading counts once, however often Enter is pressed for it.
+// A reading counts once, however often Enter is pressed for it, and on however many pages it is
+// typed: it is refused when another one has come since its first digit.
 let entering = false;
+const readingsSeen = () => READING.flatMap((step) => state.status[step] ?? []).length;
+let typedAfter = null;
+$("moisture-input").oninput = ({ target }) => {
+  typedAfter = target.value === "" ? null : typedAfter ?? readingsSeen();
+};
 $("moisture-form").onsubmit = async (event) => {
   event.preventDefault();
   const input = $("moisture-input");
@@ -639,7 +645,10 @@ $("moisture-form").onsubmit = async (event) => {
     return notify(`Type a reading of ${input.placeholder} a.u. first.`, false);
   }
   entering = true;
-  const answer = await command("moisture", { value: Number(input.value), ...seen() });
+  const seen_readings = typedAfter ?? readingsSeen();
+  const value = Number(input.value);
+  const answer = await command("moisture", { value, ...seen(), seen_readings });
+  typedAfter = null;
   if (answer.success) { input.value = ""; input.blur(); }
   setTimeout(() => { entering = false; }, TWICE);
 };
