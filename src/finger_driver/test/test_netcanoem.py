@@ -360,6 +360,37 @@ def test_a_bus_that_echoes_own_frames_is_harmless(
         bus.shutdown()
 
 
+class TwiceBus(EchoBus):
+    """A bus that gives every other node each frame twice, the second time a moment later."""
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        self._inner.send(msg, timeout)
+        if self._copies:
+            time.sleep(1e-3)
+        self._inner.send(msg, timeout)
+
+
+@pytest.mark.parametrize("pause", [0, 1])
+def test_a_bus_that_gives_every_frame_twice_mixes_no_rows_and_no_readings(
+    channel: str, pause: int
+) -> None:
+    truth = np.array([1.0, -2.0, -5.0, 0.01, 0.02, -0.03])
+    bus = TwiceBus(open_bus("virtual", channel), pause)
+    simulator = NetcanoemSimulator(bus, force=lambda stamp: truth, noise=0.0).start()
+    source = driver(channel)
+    try:
+        source.connect()
+        assert np.array_equal(source.calibration.matrix, default_calibration().matrix)
+        samples = [source.read(1.0) for _ in range(20)]
+    finally:
+        source.close()
+        simulator.stop()
+        bus.shutdown()
+    given = [s for s in samples if s is not None]
+    assert len(given) > 10
+    assert all(np.abs(s.force - truth[:3]).max() < 0.1 for s in given)
+
+
 def test_on_an_echoing_bus_the_own_request_is_no_confirmation_of_the_slot(
     channel: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

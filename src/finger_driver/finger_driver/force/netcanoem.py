@@ -305,7 +305,8 @@ class NetcanoemSource(ForceSource):
     def _conflict(self) -> None:
         self.note(
             "conflict",
-            "two different replies to one request; does another device use the base identifier?",
+            "two different replies to one request; does another device use the base identifier, or "
+            "does another program ask this board?",
         )
         self._disputed_until = time.monotonic() + _DISPUTED
 

@@ -91,10 +91,15 @@ class Dialog:
     def ask(self, opcode: int, data: bytes = b"") -> tuple[bytes, ...]:
         """Reply frames to a request, in order; tried three times, then DeviceError."""
         due = protocol.REPLIES[opcode]
+        # What waits is old: on a bus that gives every frame twice, the last one of a row would be
+        # taken for that of the next row.
+        can_bus.discard_waiting(self.bus)
         for attempt, frames in enumerate(self._attempts(opcode, data)):
             got: dict[protocol.Key, bytes] = {}
             for frame in frames:
                 key = key_of(frame)
+                if key == due[0]:
+                    got.clear()  # of what was on its way still
                 if key in due:
                     got[key] = bytes(frame.data)
                 if len(got) == len(due):
