@@ -255,7 +255,8 @@ def _check_streams(streams: SessionStreams, settings: ReadSettings, result: Vali
         _add_log_time(name, delay, OK if right else FAIL, result)
     readings = [(r.stamp_ns, r.log_ns) for r in streams.moistures if r.log_ns is not None]
     if readings:
-        delay = _delay(*np.array(readings, np.int64).T, settings, "moisture")
+        stamps, logs = np.array(readings, np.int64).T
+        delay = _delay(stamps, logs, settings, "moisture")
         late = float(np.median(delay)) > MOISTURE_DELAY
         status = FAIL if delay.min() < -MOISTURE_LEAD else NOTE if late else OK
         _add_log_time("moisture", delay, status, result)
