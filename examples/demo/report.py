@@ -186,24 +186,27 @@ def interval_text(result: ConditionResult, key: str, scale: float) -> str:
 
 
 def print_summary(result: DemoResult, console: Console) -> None:
-    """Summary table and the report's path."""
+    """Summary table, narrow enough for 80 columns, and the report's path."""
     summary = json.loads((result.folder / "summary.json").read_text())
-    table = Table(box=box.SIMPLE_HEAD)
+    (best, _, scale, unit), *others = PARAMETERS
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     table.add_column("condition")
-    table.add_column("")
-    for _, label, _, unit in PARAMETERS:
-        table.add_column(f"{label.split(' = ')[0]}\n{unit}", justify="right")
+    table.add_column(f"E\n{unit}", justify="right")
+    table.add_column(f"E, 95 %\n{unit}", justify="right")
+    for _, label, _, other_unit in others:
+        table.add_column(f"{label}\n{other_unit}", justify="right")
     table.add_column("J\nmm⁴", justify="right")
-    table.add_column("power law\nJ, mm⁴", justify="right")
+    table.add_column("J, kFᵐ\nmm⁴", justify="right")
     for name, row in summary["conditions"].items():
         fitted, true = (
-            [three_digits(row[which][key] * scale) for key, _, scale, _ in PARAMETERS]
+            [three_digits(row[which][key] * factor) for key, _, factor, _ in PARAMETERS]
             for which in ("fitted", "true")
         )
-        table.add_row(
-            name, "fitted", *fitted, three_digits(row["J"]), three_digits(row["J_power_law"])
-        )
-        table.add_row("", "true", *true, end_section=True)
+        ends = row["intervals_95"].get(best)
+        interval = "–".join(three_digits(end * scale) for end in ends) if ends else ""
+        costs = (three_digits(row["J"]), three_digits(row["J_power_law"]))
+        table.add_row(f"{name}, fit", fitted[0], interval, *fitted[1:], *costs)
+        table.add_row("true", true[0], "", *true[1:], end_section=True)
     console.print()
     console.print(table)
     console.print(
