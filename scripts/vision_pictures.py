@@ -1,4 +1,4 @@
-"""Draw the pictures of docs/vision.md from rendered prints: each step, and remaining failures."""
+"""Draw the pictures of docs/vision.md and vision_method.md from rendered prints: failures, steps."""
 
 from __future__ import annotations
 

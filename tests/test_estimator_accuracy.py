@@ -131,7 +131,7 @@ def test_fusion_halves_the_error_of_wrong_parameters(which: str) -> None:
 
 
 def pooled_score(name: str, parameters: np.ndarray, misfit: bool) -> Score:
-    """Three sessions of ten full-order presses each; prints a row of docs/reduced_model.md."""
+    """Three sessions of ten full-order presses each; prints a row of docs/estimator.md."""
     scores = []
     for seed in (1, 2, 3):
         trials = [trial_of(seed, i, misfit, None) for i in range(10)]

@@ -43,7 +43,7 @@ PAUSE, RISE, SLIDE = HOLD + 0.3, (0.5, 1.2), 0.5
 sliding."""
 
 LAG = 0.35
-"""Shift of the stick zone towards the trailing side (docs/vision.md)."""
+"""Shift of the stick zone towards the trailing side (docs/vision_method.md)."""
 
 
 @dataclass(frozen=True)

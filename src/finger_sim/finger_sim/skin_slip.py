@@ -8,7 +8,7 @@ r = |Q|/(μP) leaves a stick zone of the area share s(r), the slip law's (`finge
 outline shrunk about a point towards `lag`. A place of the contact slips from the ratio on at which
 the shrinking zone has passed it. How far it has slipped since is what the elements of the law say,
 the same for all: `reach` · (U(r) − U(r₀)) with U = ∫ dr/s. The three-dimensional solution has
-this slip at its nodes too (docs/vision.md).
+this slip at its nodes too (docs/vision_method.md).
 """
 
 from __future__ import annotations

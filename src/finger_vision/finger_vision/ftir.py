@@ -7,7 +7,7 @@ Steps: reduce to about 60 µm a pixel; background (learned, or guessed from the 
 against it; ridges by a threshold that follows the local contrast; the pressing finger's region by
 the density of ridges; its convex hull (gross area, as in Nam and Kuchenbecker, IEEE Trans. Haptics
 14(2), 2021) or closed outline; ridge pixels times their area on the plate (real area).
-`docs/vision.md` shows each step in pictures.
+`docs/vision_method.md` shows each step in pictures.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ class FtirSettings(Settings):
         "squared share of the contact that does not touch.",
         minimum=0.0,
         maximum=2.0,
-        advice="0 gives the hull of the ridges alone; docs/vision.md has the effect.",
+        advice="0 gives the hull of the ridges alone; docs/vision_method.md has the effect.",
     )
     furrow_margin_saturated: float = setting(
         0.85,
@@ -410,7 +410,7 @@ class FtirSegmenter(AreaSensor):
 
         Independent errors of the outline, one per ridge period along it; a common relative error;
         `doubt` (m²), as of `_outline`. The first two sizes come from rendered frames
-        (docs/vision.md).
+        (docs/vision_method.md).
         """
         return math.hypot(self._rim_deviation(shape), 0.015 * shape.area, doubt)
 
