@@ -6,6 +6,11 @@ export OMP_NUM_THREADS ?= 1
 # One worker more than cores: many tests wait for nodes, devices and browsers.
 WORKERS ?= $(shell echo $$(($$(nproc) + 1)))
 
+define check_python
+@command -v $(PYTHON) >/dev/null || { echo "setup: $(PYTHON) not found:" \
+  "install Python 3.10 to 3.13 or name one with PYTHON=…" >&2; exit 2; }
+endef
+
 .PHONY: help setup setup-test demo test test-slow test-compat lint bench soak faults bags \
   reference clean
 
@@ -23,13 +28,11 @@ help:
 	@echo "make clean        remove what demo, tests and colcon wrote"
 
 setup:
-	@command -v $(PYTHON) >/dev/null || { echo "setup: $(PYTHON) not found:" \
-	  "install Python 3.10 to 3.13 or name one with PYTHON=…" >&2; exit 2; }
+	$(check_python)
 	@$(PYTHON) scripts/setup_env.py --env $(ENV)
 
 setup-test:
-	@command -v $(PYTHON) >/dev/null || { echo "setup: $(PYTHON) not found:" \
-	  "install Python 3.10 to 3.13 or name one with PYTHON=…" >&2; exit 2; }
+	$(check_python)
 	@$(PYTHON) scripts/setup_env.py --env $(ENV) --test
 
 demo: setup

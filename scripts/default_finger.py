@@ -22,8 +22,8 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from doc_tables import replace_between
 from nuisance_table import press, published_scatter
-from throughput import replace_between
 
 from finger_common.errors import InputError
 from finger_model.fem.full_order import FullOrderModel

@@ -14,7 +14,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from throughput import replace_between
+from doc_tables import replace_between
 
 from finger_common.files import atomic_write
 from finger_fit.design.command import command

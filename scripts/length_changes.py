@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from throughput import replace_between
+from doc_tables import replace_between
 
 from finger_common.files import atomic_write
 from finger_model.anthropometry import estimate_geometry

@@ -42,8 +42,8 @@ from typing import Any, NamedTuple
 
 import numba
 import numpy as np
+from doc_tables import replace_between
 from scipy.optimize import brentq
-from throughput import replace_between
 
 from finger_common.files import atomic_write
 from finger_common.usable_press import TYPICAL_AREA_NOISE

@@ -91,8 +91,8 @@ def seen(ratios: list[float], radius: float) -> list[tuple[np.ndarray, np.ndarra
         image = show(renderer.render_frame([contact]).image)
         if ratio in ratios:
             points = motion.points[in_newest(motion.points)]
-            slip = np.hypot(*(points["travel"] - points["stuck"]).T) * motion._pitch
-            pixels = points["place"] * image.shape[1] / motion._ridges.frame(image).shape[1]
+            slip = np.hypot(*(points["travel"] - points["stuck"]).T) * motion.pitch
+            pixels = points["place"] * image.shape[1] / motion.ridges.frame(image).shape[1]
             found.append((image, pixels, slip * points["slipped"]))
     return found
 

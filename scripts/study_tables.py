@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from doc_tables import replace_between
 from recovery import FEWEST_FREE, QUANTITIES, SPACE, WINDOWS, statistics
-from throughput import replace_between
 
 from finger_common.files import atomic_write
 from finger_model.paper import CONDITIONS

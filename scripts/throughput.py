@@ -19,6 +19,7 @@ from typing import Any
 
 import numba
 import numpy as np
+from doc_tables import replace_between
 
 from finger_common.files import atomic_write
 from finger_fit.full_order.areas import REFINEMENT
@@ -176,14 +177,6 @@ def page_text(per_second: float, full_order: float, found: dict[str, Refits]) ->
         f"{exact / 3600:.0f} core hours. On 64 cores the whole is {whole:.1f} hours. The "
         "paper's search for one subject took 450 hours."
     )
-
-
-def replace_between(text: str, name: str, content: str) -> str:
-    """Text with what stands between the markers `name` replaced."""
-    begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
-    before, rest = text.split(begin, 1)
-    after = rest.split(end, 1)[1]
-    return f"{before}{begin}\n{content}\n{end}{after}"
 
 
 def main() -> None:

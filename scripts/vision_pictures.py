@@ -1,4 +1,4 @@
-"""Draw the pictures of docs/vision.md and vision_method.md from rendered prints: failures, steps."""
+"""Draw the pictures of docs/vision.md (failures) and docs/vision_method.md (steps)."""
 
 from __future__ import annotations
 

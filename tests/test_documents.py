@@ -23,7 +23,12 @@ import pytest
 from finger_common.flags import StateFlag
 
 ROOT = Path(__file__).resolve().parent.parent
-DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), ROOT / "bags" / "README.md"]
+DOCUMENTS = [
+    ROOT / "README.md",
+    *sorted((ROOT / "docs").glob("*.md")),
+    ROOT / "bags" / "README.md",
+    ROOT / "scripts" / "README.md",
+]
 
 
 @dataclass
@@ -114,6 +119,15 @@ def test_links_between_documents_lead_somewhere(document: Path) -> None:
         if "://" not in target and not (document.parent / target).exists():
             broken.append(target)
     assert not broken, f"{document.name}: {broken}"
+
+
+@pytest.mark.parametrize(("folder", "kinds"), [("docs", "*.md"), ("scripts", "*.[ps][yh]")])
+def test_index_of_a_folder_names_every_file(folder: str, kinds: str) -> None:
+    text = (ROOT / folder / "README.md").read_text()
+    files = [file.name for file in (ROOT / folder).glob(kinds) if file.name != "README.md"]
+    assert files
+    missing = [name for name in sorted(files) if not re.search(rf"[(`]{re.escape(name)}[)`]", text)]
+    assert not missing
 
 
 def test_architecture_names_every_module_or_its_folder() -> None:

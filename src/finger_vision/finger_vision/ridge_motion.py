@@ -166,6 +166,16 @@ class RidgeMotion:
         self._mono8 = Mono8(dark=True)
         self.reset()
 
+    @property
+    def pitch(self) -> float:
+        """Size of a pixel of the flow on the plate, m; from the first image on."""
+        return self._pitch
+
+    @property
+    def ridges(self) -> RidgeTexture | None:
+        """The textures in which the ridges are followed; None before the first image."""
+        return self._ridges
+
     def reset(self) -> None:
         """Forget plate and contact."""
         self._ridges: RidgeTexture | None = None
