@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import importlib
 import inspect
-import time
 from collections.abc import Callable, Iterable
+from functools import partial
 from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.parameter import Parameter
 from service_calls import call
+from waiting import wait_until
 
 from finger_bringup import nodes
 from finger_common.namespaces import default_folder
@@ -72,13 +73,8 @@ class Hand:
             self.executor.add_node(node)
 
     def until(self, condition: Callable[[], Any], seconds: float = 120) -> Any:
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            self.executor.spin_once(timeout_sec=0.05)
-            found = condition()
-            if found:
-                return found
-        raise AssertionError(f"nothing came in time; {self.levels}")
+        spin = partial(self.executor.spin_once, timeout_sec=0.05)
+        return wait_until(condition, lambda: self.levels, spin=spin, seconds=seconds)
 
     def call(self, kind: Any, service: str, request: Any) -> Any:
         """Answer of a service."""

@@ -9,10 +9,12 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
+from waiting import wait_until
 
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
@@ -140,14 +142,6 @@ def calibrate(process: Callable[..., Any]) -> Callable[..., Any]:
     return start
 
 
-def until(condition: Callable[[], Any], seconds: float = 90.0) -> Any:
-    end = time.monotonic() + seconds
-    while not (found := condition()):
-        assert time.monotonic() < end, "nothing came in time"
-        time.sleep(0.02)
-    return found
-
-
 def said(child: Any, text: str) -> Callable[[], bool]:
     return lambda: text in child.output.read_text()
 
@@ -155,8 +149,8 @@ def said(child: Any, text: str) -> Callable[[], bool]:
 def at_first_press(rig: Rig, calibrate: Callable[..., Any]) -> Any:
     """A calibration that asks for its first press, whose trial the rig has seen."""
     child = calibrate()
-    until(said(child, "press 1 of 9"))
-    until(lambda: rig.trials)
+    wait_until(said(child, "press 1 of 9"), child.output.read_text)
+    wait_until(lambda: rig.trials, "a trial")
     return child
 
 
@@ -184,10 +178,10 @@ def test_the_zero_is_taken_with_nothing_on_the_plate(
     protocol()
     rig.force, rig.touch_during_tare = 0.4, 3
     child = calibrate()
-    until(said(child, "something is on the plate"))
+    wait_until(said(child, "something is on the plate"), child.output.read_text)
     assert rig.tares == []
     rig.force = 0.0
-    until(said(child, "press 1 of 9"))
+    wait_until(said(child, "press 1 of 9"), child.output.read_text)
     # Touched while it was taken, once more.
     assert rig.tares == [0.0, 0.0]
     assert "touched during the tare" in child.output.read_text()
@@ -199,7 +193,7 @@ def test_a_zero_that_has_drifted_far_is_taken_with_nothing_on_the_plate(
     protocol()
     rig.far_tares = 1
     child = calibrate()
-    until(said(child, "press 1 of 9"))
+    wait_until(said(child, "press 1 of 9"), child.output.read_text)
     assert rig.tares == [0.0, 0.0]
 
 
@@ -211,7 +205,7 @@ def test_ctrl_c_during_the_presses_ends_the_session(
     child.send_signal(signal.SIGINT)
     assert child.wait(30) == 0
     assert child.output.read_text().endswith("aborted; nothing was written\n")
-    until(lambda: rig.trials[-1].phase == TrialPhase.IDLE)
+    wait_until(lambda: rig.trials[-1].phase == TrialPhase.IDLE, "the end of the trial")
     assert "aborted" in rig.trials[-1].note
 
 
@@ -249,7 +243,7 @@ def test_ctrl_c_while_the_presses_are_fitted_leaves_the_result(
         node.create_service(Trigger, f"~/{name}", answer(name))
     status.publish(SessionStatus(step="closed"))
     child = calibrate()
-    until(said(child, FITTING))
+    wait_until(said(child, FITTING), child.output.read_text)
     child.send_signal(signal.SIGINT)
     assert child.wait(30) == 0
     assert "nothing was written" not in child.output.read_text()
@@ -266,7 +260,7 @@ def test_what_the_model_node_refuses_ends_it_at_once(
     rig.refuse(rig.trials[-1].session, "/subjects cannot be written to")
     assert child.wait(60) == 2
     assert "ot calibrated: /subjects cannot be written to" in child.output.read_text()
-    until(lambda: rig.trials[-1].phase == TrialPhase.IDLE)
+    wait_until(lambda: rig.trials[-1].phase == TrialPhase.IDLE, "the end of the trial")
     assert "cannot be written to" in rig.trials[-1].note
 
 
@@ -276,6 +270,7 @@ def test_presses_that_an_operator_skips_end_it_at_once(
     protocol()
     child = at_first_press(rig, calibrate)
     skip = rig.devices.create_client(Trigger, "protocol/skip")
+    until = partial(wait_until, what=child.output.read_text)
     for _ in CALIBRATION_PRESSES:
         assert answer(skip, Trigger.Request(), until).success
     assert child.wait(30) == 2
@@ -317,7 +312,7 @@ def test_presses_wait_for_a_model_node_that_is_gone(
     child = at_first_press(rig, calibrate)
     rig.model.destroy_publisher(rig._state)
     rig.modelling = False
-    until(said(child, "Waiting: model: the node is not running"))
+    wait_until(said(child, "Waiting: model: the node is not running"), child.output.read_text)
 
 
 def test_without_a_probe_no_reading_is_asked_for(
@@ -325,7 +320,9 @@ def test_without_a_probe_no_reading_is_asked_for(
 ) -> None:
     protocol("readings:=3")
     child = calibrate()
-    until(lambda: rig.trials and rig.trials[-1].phase == TrialPhase.PRESS)
+    wait_until(
+        lambda: rig.trials and rig.trials[-1].phase == TrialPhase.PRESS, child.output.read_text
+    )
     assert "probe" not in child.output.read_text()
 
 

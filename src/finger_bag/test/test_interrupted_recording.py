@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 import pytest
 from recorded_messages import serialized
+from waiting import wait_until
 
 from finger_bag.copying import recover
 from finger_bag.definitions import encode
@@ -29,16 +30,6 @@ from finger_bag.recording_marker import RecordingMarker
 from finger_common.errors import InputError
 
 QUICK = RecorderSettings(flush_interval=0.05, minimum_free=0, compression="none")
-
-
-def wait_for(condition: Callable[[], Any], what: str, step: Callable[[], Any] = lambda: 0) -> Any:
-    end = time.monotonic() + 60
-    while time.monotonic() < end:
-        if found := condition():
-            return found
-        step()
-        time.sleep(0.005)
-    raise AssertionError(f"did not come: {what}")
 
 
 class Feed:
@@ -51,6 +42,11 @@ class Feed:
         for _ in range(number):
             self.recorder.put(serialized(self.number))
             self.number += 1
+
+    def slowly(self, number: int = 1) -> None:
+        """The same, and a pause."""
+        self(number)
+        time.sleep(0.005)
 
 
 def read(path: Path) -> list[int]:
@@ -66,7 +62,7 @@ def test_a_disk_that_was_pulled_out_is_waited_for(
     recorder.start(tmp_path / "a" / "bag")
     feed(100)
     shutil.rmtree(tmp_path / "a")
-    wait_for(lambda: recorder.interrupted, "the interruption", feed)
+    wait_until(lambda: recorder.interrupted, "the interruption", spin=feed.slowly)
 
     def gone(path: Path) -> bool:
         raise OSError(errno.EIO, os.strerror(errno.EIO))
@@ -89,14 +85,14 @@ def recording(
     feed = Feed(recorder)
     recorder.start(bag, metadata)
     feed(100)
-    wait_for(lambda: recorder.counts, "messages in the file")
+    wait_until(lambda: recorder.counts, "messages in the file")
     return recorder, feed, errors
 
 
 def test_a_removed_folder_is_noticed_and_the_recording_goes_on_beside_it(tmp_path: Path) -> None:
     recorder, feed, errors = recording(tmp_path / "a" / "bag", {"subject": "S01"})
     shutil.rmtree(tmp_path / "a")
-    wait_for(lambda: errors, "the error", feed)
+    wait_until(lambda: errors, "the error", spin=feed.slowly)
     assert "removed or renamed" in errors[0] and not recorder.recording
     feed(20)
     # Where a disk was pulled out, its folder would be made anew on another one.
@@ -138,9 +134,9 @@ def test_nothing_is_written_where_a_disk_was_mounted_until_it_is_there_again(
 def test_what_a_removed_folder_held_is_lost_although_it_was_flushed(tmp_path: Path) -> None:
     recorder, feed, errors = recording(tmp_path / "bag")
     flushed = recorder.last_flush
-    wait_for(lambda: recorder.last_flush > flushed, "the next flush", feed)
+    wait_until(lambda: recorder.last_flush > flushed, "the next flush", spin=feed.slowly)
     shutil.rmtree(tmp_path / "bag")
-    wait_for(lambda: errors, "the error", feed)
+    wait_until(lambda: errors, "the error", spin=feed.slowly)
     result = recorder.stop()
     assert result.counts == {} and result.lost_count == feed.number
 
@@ -148,7 +144,7 @@ def test_what_a_removed_folder_held_is_lost_although_it_was_flushed(tmp_path: Pa
 def test_a_renamed_folder_keeps_its_messages(tmp_path: Path) -> None:
     recorder, feed, errors = recording(tmp_path / "bag")
     (tmp_path / "bag").rename(tmp_path / "moved")
-    wait_for(lambda: errors, "the error", feed)
+    wait_until(lambda: errors, "the error", spin=feed.slowly)
     result = recorder.stop()
     assert result.message_count + result.lost_count == feed.number
     recover(tmp_path / "moved", tmp_path / "whole")
@@ -169,7 +165,7 @@ def test_it_resumes_only_when_there_is_room_again(
     with pytest.raises(InputError, match="no recording was interrupted"):
         recorder.resume()
     free[0] = 1000
-    wait_for(lambda: errors, "the error", feed)
+    wait_until(lambda: errors, "the error", spin=feed.slowly)
     feed(10)
     for room in (1000, 1 << 20):
         free[0] = room
@@ -209,7 +205,7 @@ def test_a_full_tmpfs_interrupts_and_room_resumes(small_disk: Path) -> None:
     ballast = small_disk / "ballast"
     ballast.write_bytes(bytes(700_000))
     recorder.start(small_disk / "bag")
-    wait_for(lambda: errors, "the error", lambda: feed(50))
+    wait_until(lambda: errors, "the error", spin=lambda: feed.slowly(50))
     assert "No space left" in errors[0]
     ballast.unlink()
     feed(10)
@@ -334,12 +330,14 @@ def test_the_node_says_so_until_it_records_again(
             "finger_bag.recorder.shutil.disk_usage", lambda path: type("Usage", (), {"free": 0})
         )
         shutil.rmtree(recorder.path)
-        wait_for(lambda: recorder.interrupted, "the interruption", spin)
+        wait_until(lambda: recorder.interrupted, "the interruption", spin=spin)
         report = health.report()
         assert report.level == 2 and report.message.startswith("NOT RECORDING")
-        wait_for(lambda: capfd.readouterr().err.count("NOT RECORDING") >= 1, "a reminder", spin)
-        wait_for(lambda: capfd.readouterr().err.count("NOT RECORDING") >= 1, "another", spin)
-    wait_for(lambda: recorder.recording, "the continuation", spin)
+        wait_until(
+            lambda: capfd.readouterr().err.count("NOT RECORDING") >= 1, "a reminder", spin=spin
+        )
+        wait_until(lambda: capfd.readouterr().err.count("NOT RECORDING") >= 1, "another", spin=spin)
+    wait_until(lambda: recorder.recording, "the continuation", spin=spin)
     report = health.report()
     assert report.level == 1 and "it continues in" in report.message
     result = node._finish()
@@ -358,7 +356,7 @@ def test_a_recording_that_was_ended_while_interrupted_forbids_no_other(
             "finger_bag.recorder.shutil.disk_usage", lambda path: type("Usage", (), {"free": 0})
         )
         shutil.rmtree(recorder.path)
-        wait_for(lambda: recorder.interrupted, "the interruption", lambda: None)
+        wait_until(lambda: recorder.interrupted, "the interruption")
         node._watch_interruption()
         assert health.report().level == 2
         assert node._finish().error
@@ -385,10 +383,10 @@ def test_an_interruption_that_can_be_resumed_at_once_is_reported_first(
 
     monkeypatch.setattr(node, "publish_diagnostics", publish)
     shutil.rmtree(node._recorder.path)
-    wait_for(
+    wait_until(
         lambda: len(node._recorder.parts) == 2,
         "the continuation",
-        lambda: executor.spin_once(timeout_sec=0.05),
+        spin=lambda: executor.spin_once(timeout_sec=0.05),
     )
     assert any(level == 2 and text.startswith("NOT RECORDING") for level, text in published)
     executor.shutdown()
@@ -412,7 +410,7 @@ def test_a_message_of_another_format_is_named_and_the_recording_goes_on(
     talker = rclpy.create_node("talker", context=node.context)
     publisher = talker.create_publisher(WrenchStamped, "/wrench", 10)
     path = node._recorder.path
-    wait_for(publisher.get_subscription_count, "the recorder", lambda: time.sleep(0.02))
+    wait_until(publisher.get_subscription_count, "the recorder")
     good = serialize_message(WrenchStamped())
     for raw in (good, FOREIGN[kind](good), good):
         publisher.publish(raw)
@@ -668,6 +666,7 @@ def test_a_publisher_that_does_not_fit_is_named_with_its_remedy_until_it_is_gone
     def look() -> None:
         node._each_second()
         node.publish_diagnostics()
+        time.sleep(0.005)
 
     def said() -> str:
         return str(node.healths[0].faults.get("qos_mismatch", ""))
@@ -675,7 +674,7 @@ def test_a_publisher_that_does_not_fit_is_named_with_its_remedy_until_it_is_gone
     with running_node(ros_domain, tmp_path, monkeypatch, record_at_start=False) as node:
         other = rclpy.create_node("other", context=node.context)
         trial = other.create_publisher(Trial, "/trial", reliable)
-        wait_for(said, "the warning", look)
+        wait_until(said, "the warning", spin=look)
         assert "'/trial' has another durability" in said()
         assert said().endswith("publish it transient local")
         node._start("bag", None)
@@ -684,16 +683,16 @@ def test_a_publisher_that_does_not_fit_is_named_with_its_remedy_until_it_is_gone
         node._finish()
         # The recorder reads reliably where all publish so, and with best effort again after that.
         other.create_publisher(WrenchStamped, "/wrench", reliable)
-        wait_for(lambda: node._topics["/wrench"].reliable, "the reliable reader", look)
+        wait_until(lambda: node._topics["/wrench"].reliable, "the reliable reader", spin=look)
         node._start("while", None)
         other.create_publisher(WrenchStamped, "/wrench", best_effort)
-        wait_for(lambda: "'/wrench'" in said(), "the second warning", look)
+        wait_until(lambda: "'/wrench'" in said(), "the second warning", spin=look)
         assert "'/wrench' has another reliability" in said() and "'/trial'" in said()
         assert "set qos_reliability alike on both sides" in said()
         node._finish()
-        wait_for(lambda: "'/wrench'" not in said(), "its end", look)
+        wait_until(lambda: "'/wrench'" not in said(), "its end", spin=look)
         other.destroy_publisher(trial)
-        wait_for(lambda: not said(), "the end", look)
+        wait_until(lambda: not said(), "the end", spin=look)
         other.destroy_node()
 
 
@@ -751,7 +750,7 @@ def test_latched_topics_of_several_namespaces_are_repeated_at_the_head(
             node._poll()
             return all(node._topics[name].latched for name in names)
 
-        wait_for(come, "the events")
+        wait_until(come, "the events")
         node._start("bag", None)
         path = node._finish().path
         other.destroy_node()
@@ -772,14 +771,14 @@ def test_states_recorded_without_their_force_are_told_until_it_comes(
     with running_node(ros_domain, tmp_path, monkeypatch) as node:
         assert not said(), "nothing has come"
         node._take(node._topics["/contact_state"], states, {})
-        wait_for(said, "the warning")
+        wait_until(said, "the warning")
         assert "nothing came on '/wrench'" in said() and "'wrench_topic'" in said()
         node._finish()
         assert "nothing came on '/wrench'" in capfd.readouterr().err
         node._start("whole", None)
         for topic, raw in (("/wrench", forces), ("/contact_state", states)):
             node._take(node._topics[topic], raw, {})
-        wait_for(lambda: sum(node._recorder.counts.values()) == 2, "both")
+        wait_until(lambda: sum(node._recorder.counts.values()) == 2, "both")
         assert not said()
 
 
@@ -810,7 +809,7 @@ def test_a_disk_that_is_too_slow_is_told_before_messages_are_lost(
         assert "too slow: 1 MB wait" in said() and not node._recorder.lost
         assert node.healths[0].report().level == 1
         held.set()
-        wait_for(lambda: not said(), "the end of the warning")
+        wait_until(lambda: not said(), "the end of the warning")
         assert node._finish().lost_count == 0
 
 
@@ -831,12 +830,12 @@ def test_a_recording_to_which_nothing_comes_names_where_there_are_streams(
         rig = rclpy.create_node("rig", context=node.context)
         for finger in ("thumb", "index"):
             rig.create_publisher(WrenchStamped, f"/hand/{finger}/wrench", 10)
-        wait_for(lambda: "published in /hand/index, /hand/thumb; record there" in said(), "both")
+        wait_until(lambda: "published in /hand/index, /hand/thumb; record there" in said(), "both")
         # Neither health nor what was kept of a trial is a stream of the finger.
         node._take(
             node._topics["/diagnostics"], encode("diagnostic_msgs/msg/DiagnosticArray", {}), {}
         )
-        wait_for(lambda: node._recorder.counts.get("/diagnostics"), "the health")
+        wait_until(lambda: node._recorder.counts.get("/diagnostics"), "the health")
         assert said()
         capfd.readouterr()
         assert node._finish().message_count == 1 and node.exit_code == 1
@@ -844,6 +843,6 @@ def test_a_recording_to_which_nothing_comes_names_where_there_are_streams(
         assert not said(), "nothing is being recorded"
         node._start("whole", None)
         node._take(node._topics["/wrench"], encode("geometry_msgs/msg/WrenchStamped", {}), {})
-        wait_for(lambda: node._recorder.counts.get("/wrench"), "the force")
+        wait_until(lambda: node._recorder.counts.get("/wrench"), "the force")
         assert not said() and "nothing came" not in node._doubts(node._finish())
         rig.destroy_node()

@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 from service_calls import call
+from waiting import wait_until
 
 from finger_bag.reader import open_bag
 from finger_common.stamps import header_stamp
@@ -58,11 +59,9 @@ class Rig:
             if "recorder" in status.name:
                 self.recorded = int(values.get("messages", 0))
 
-    def until(self, condition: Callable[[], Any], what: str, seconds: float = 120.0) -> None:
-        end = time.monotonic() + seconds
-        while not condition():
-            assert time.monotonic() < end, what
-            rclpy.spin_once(self.node, timeout_sec=0.05)
+    def until(self, condition: Callable[[], Any], what: str, seconds: float = 120.0) -> Any:
+        spin = partial(rclpy.spin_once, self.node, timeout_sec=0.05)
+        return wait_until(condition, what, spin=spin, seconds=seconds)
 
     def call(self, kind: Any, name: str, request: Any) -> Any:
         return call(self.node, kind, name, request, partial(self.until, what=name))

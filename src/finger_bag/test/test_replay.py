@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ import numpy as np
 import pytest
 from service_calls import call
 from session_bags import START, wrench
+from waiting import wait_until
 
 from finger_bag.cli import parser
 from finger_bag.reader import open_bag
@@ -306,11 +308,11 @@ def test_services_pause_a_replay(short: Path, ros_domain: int, process: Any) -> 
     rclpy.init(domain_id=ros_domain)
     node = rclpy.create_node("observer")
 
-    def until(condition: Callable[[], Any]) -> None:
-        end = time.monotonic() + 60
-        while not condition():
-            assert time.monotonic() < end and player.poll() is None
-            rclpy.spin_once(node, timeout_sec=0.05)
+    def spin() -> None:
+        assert player.poll() is None
+        rclpy.spin_once(node, timeout_sec=0.05)
+
+    until = partial(wait_until, what="what the player does", spin=spin)
 
     def ask(service: str) -> str:
         return str(call(node, Trigger, f"/bag_player/{service}", Trigger.Request(), until).message)

@@ -9,6 +9,7 @@ import os
 import signal
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from lifecycle_msgs.srv import ChangeState  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 from service_calls import call  # noqa: E402
+from waiting import wait_until  # noqa: E402
 
 from finger_bringup import nodes  # noqa: E402
 from finger_bringup.bring_up import ALL_ACTIVE  # noqa: E402
@@ -90,11 +92,9 @@ class Hand:
         name = f"/hand/{node}/change_state"
         assert call(self.node, ChangeState, name, request, self.until).success, self.log[-4000:]
 
-    def until(self, condition: Callable[[], Any], seconds: float = 150.0) -> None:
-        end = time.monotonic() + seconds
-        while not condition():
-            assert time.monotonic() < end, self.log[-4000:]
-            self._executor.spin_once(timeout_sec=0.05)
+    def until(self, condition: Callable[[], Any]) -> Any:
+        spin = partial(self._executor.spin_once, timeout_sec=0.05)
+        return wait_until(condition, lambda: self.log[-4000:], spin=spin, seconds=150.0)
 
     def close(self) -> None:
         self._executor.shutdown()

@@ -15,10 +15,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
+from waiting import wait_until
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 pytest.importorskip(
@@ -80,13 +82,8 @@ class Launch:
         return self.output.read_text()
 
     def until(self, condition: Callable[[], Any], seconds: float = 120.0) -> Any:
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            result = condition()
-            if result:
-                return result
-            time.sleep(0.2)
-        raise AssertionError(f"nothing came in {seconds:g} s:\n{self.text[-5000:]}")
+        spin = partial(time.sleep, 0.2)
+        return wait_until(condition, lambda: self.text[-5000:], spin=spin, seconds=seconds)
 
     def logged(self, text: str, times: int = 1, seconds: float = 120.0) -> None:
         self.until(lambda: self.text.count(text) >= times, seconds)

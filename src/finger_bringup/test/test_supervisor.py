@@ -8,12 +8,11 @@ import signal
 import subprocess
 import sys
 import threading
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from waiting import wait_until
 
 from finger_bringup.cli import run_until_interrupted
 from finger_bringup.supervisor import ProcessSpec, Supervisor
@@ -54,13 +53,6 @@ def gone(pid: int) -> bool:
     return False
 
 
-def until(condition: Callable[[], bool], seconds: float = 120.0) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.02)
-
-
 def test_a_process_that_ends_is_started_again_and_reported() -> None:
     log = Log()
     with Supervisor([ProcessSpec("node", python(FOREVER))], line=log, first_delay=0.05) as all_:
@@ -85,11 +77,11 @@ def test_a_log_that_cannot_be_written_stops_nothing(tmp_path: Path) -> None:
 
     talk = f"for i in range(20000): print('x' * 80)\nopen({str(done)!r}, 'w')\n" + FOREVER
     with Supervisor([ProcessSpec("node", python(talk))], line=line, first_delay=0.05) as all_:
-        until(done.exists)
+        wait_until(done.exists, "the file")
         first = all_.process_id("node")
         assert first is not None
         os.kill(first, signal.SIGKILL)
-        until(lambda: all_.restarts() == {"node": 1} and all_.alive()["node"])
+        wait_until(lambda: all_.restarts() == {"node": 1} and all_.alive()["node"], "the restart")
         second = all_.process_id("node")
     assert second is not None and gone(second)
 
@@ -149,11 +141,11 @@ def test_what_a_killed_supervisor_leaves_ends_by_itself(tmp_path: Path) -> None:
     )
     parent = subprocess.Popen(python(code), stdout=subprocess.DEVNULL)
     try:
-        until(lambda: pids[1].exists())
+        wait_until(pids[1].exists, "the grandchild")
     finally:
         parent.kill()
         parent.wait()
-    until(lambda: gone(int(pids[1].read_text())))
+    wait_until(lambda: gone(int(pids[1].read_text())), "the grandchild's end")
 
 
 def test_the_end_of_an_essential_process_ends_all_with_its_exit_code() -> None:

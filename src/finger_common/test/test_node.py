@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -19,6 +19,7 @@ import pytest
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from service_calls import call  # noqa: E402
+from waiting import wait_until  # noqa: E402
 
 NODE = """
 from dataclasses import dataclass
@@ -55,16 +56,6 @@ main_of(Gauge)()
 """
 
 
-def wait_for(condition: Callable[[], Any], spin: Callable[[], None], seconds: float = 90) -> Any:
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        spin()
-        result = condition()
-        if result:
-            return result
-    raise AssertionError("nothing came in time")
-
-
 @pytest.fixture
 def observer(ros_domain: int) -> Any:
     context = rclpy.Context()
@@ -87,7 +78,7 @@ def test_shell_publishes_checks_parameters_reports_and_ends_cleanly(
     from std_msgs.msg import Float64, String
 
     node, spin = observer
-    until = partial(wait_for, spin=spin)
+    until = partial(wait_until, what="an answer of the node", spin=spin)
     values: list[float] = []
     states: list[Any] = []
     beats: list[str] = []
@@ -98,7 +89,7 @@ def test_shell_publishes_checks_parameters_reports_and_ends_cleanly(
     script.write_text(NODE)
     others = set(Path("/dev/shm").glob("fastrtps_*"))
     child = process(script, "--ros-args", "-p", "qos_reliability:=reliable")
-    wait_for(lambda: values, spin)
+    wait_until(lambda: values, "a value", spin=spin)
     assert values[-1] == 1.0
 
     def set_parameter(name: str, **value: Any) -> Any:
@@ -109,23 +100,23 @@ def test_shell_publishes_checks_parameters_reports_and_ends_cleanly(
         return call(node, SetParameters, "/gauge/set_parameters", request, until).results[0]
 
     assert set_parameter("gain", double_value=2.5).successful
-    wait_for(lambda: values[-1] == 2.5, spin)
+    wait_until(lambda: values[-1] == 2.5, "the new value", spin=spin)
     refused = set_parameter("gain", double_value=11.0)
     assert not refused.successful and "0 … 10" in refused.reason
     refused = set_parameter("port", string_value="b")
     assert not refused.successful and "deactivate" in refused.reason
 
-    status = wait_for(lambda: states, spin)[-1].status[0]
+    status = wait_until(lambda: states, "diagnostics", spin=spin)[-1].status[0]
     assert status.name == "gauge: gauge" and status.hardware_id == "no. 7"
     assert {v.key: v.value for v in status.values}["state"] == "active"
-    wait_for(lambda: len(beats) > 2, spin)
+    wait_until(lambda: len(beats) > 2, "heartbeats", spin=spin)
     assert set(beats) == {"gauge"}
     # Ctrl-C: the node writes its last log line, and leaves no shared memory.
     maps = Path(f"/proc/{child.pid}/maps").read_text()
     mapped = set(re.findall(r"/dev/shm/fastrtps_[0-9a-f]{16}\b", maps))
     own = {Path(name) for name in mapped} - others
     child.send_signal(signal.SIGINT)
-    wait_for(lambda: values[-1] == -1.0, spin)
+    wait_until(lambda: values[-1] == -1.0, "the last value", spin=spin)
     assert child.wait(60) == 0, child.output.read_text()
     assert own and not [file for file in own if file.exists()]
 
@@ -156,7 +147,7 @@ def test_ctrl_c_that_a_compiler_swallows_ends_the_node_without_a_traceback(
     script = tmp_path / "compiler.py"
     script.write_text(COMPILING)
     child = process(script)
-    wait_for(lambda: "compiling" in child.output.read_text(), lambda: time.sleep(0.05))
+    wait_until(lambda: "compiling" in child.output.read_text(), "the start")
     child.send_signal(signal.SIGINT)
     assert child.wait(30) == 0
     said = child.output.read_text()
@@ -173,7 +164,7 @@ def test_failed_configuration_leaves_the_node_up_to_try_again(
     from rcl_interfaces.srv import SetParameters
 
     node, spin = observer
-    until = partial(wait_for, spin=spin)
+    until = partial(wait_until, what="an answer of the node", spin=spin)
     script = tmp_path / "gauge.py"
     script.write_text(NODE)
     child = process(script, "--ros-args", "-p", "port:=missing")
@@ -260,7 +251,7 @@ def test_messages_that_are_polled_for_neither_wake_the_executor_nor_get_lost(
     try:
         publisher = talker.create_publisher(Float64, "value", qos)
         polled = PolledSubscription(listener, Float64, "value", qos)
-        wait_for(publisher.get_subscription_count, lambda: time.sleep(0.02))
+        wait_until(publisher.get_subscription_count, "the reader")
         for number in range(100):
             publisher.publish(Float64(data=float(number)))
         publisher.wait_for_all_acked(Duration(seconds=60))
@@ -275,7 +266,7 @@ def test_messages_that_are_polled_for_neither_wake_the_executor_nor_get_lost(
         assert polled.new_mismatches() == 0
         best_effort = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
         talker.create_publisher(Float64, "value", best_effort)
-        wait_for(polled.new_mismatches, lambda: time.sleep(0.02))
+        wait_until(polled.new_mismatches, "the mismatch")
         assert polled.new_mismatches() == 0
         polled.destroy()
     finally:
@@ -306,9 +297,6 @@ def test_a_waited_stream_is_delivered_without_the_executor_and_its_error_ends_it
             raise ValueError("a negative number")
         received.append(message.data)
 
-    def pause() -> None:
-        time.sleep(0.02)
-
     def waited(topic: str) -> WaitedSubscription:
         polled = PolledSubscription(listener, Float64, topic, qos)
         return WaitedSubscription(listener, polled, take, errors.append)
@@ -316,25 +304,25 @@ def test_a_waited_stream_is_delivered_without_the_executor_and_its_error_ends_it
     try:
         first, second = (talker.create_publisher(Float64, topic, qos) for topic in ("a", "b"))
         a, b = waited("a"), waited("b")
-        wait_for(first.get_subscription_count, pause)
-        wait_for(second.get_subscription_count, pause)
+        wait_until(first.get_subscription_count, "the first reader")
+        wait_until(second.get_subscription_count, "the second reader")
         for number in range(50):
             first.publish(Float64(data=float(number)))
-        wait_for(lambda: len(received) == 50, pause)
+        wait_until(lambda: len(received) == 50, "fifty messages")
         assert received == [float(n) for n in range(50)]
         first.publish(Float64(data=-1.0))
-        wait_for(lambda: errors, pause)
+        wait_until(lambda: errors, "the error")
         assert isinstance(errors[0], ValueError)
         second.publish(Float64(data=99.0))
-        wait_for(lambda: received[-1] == 99.0, pause)
+        wait_until(lambda: received[-1] == 99.0, "the message after the error")
         for stream in (a, b):
             stream.destroy()
-        wait_for(lambda: not second.get_subscription_count(), pause)
+        wait_until(lambda: not second.get_subscription_count(), "the end of the reader")
         # The thread begins again with a stream that comes later.
         waited("b")
-        wait_for(second.get_subscription_count, pause)
+        wait_until(second.get_subscription_count, "the second reader")
         second.publish(Float64(data=7.0))
-        wait_for(lambda: received[-1] == 7.0, pause)
+        wait_until(lambda: received[-1] == 7.0, "the last message")
     finally:
         listener.destroy_node()
         talker.destroy_node()
@@ -373,7 +361,7 @@ def test_messages_that_do_not_fit_their_definition_are_left_out_counted_and_name
             for raw in (whole[0], whole[0][:-4], whole[0][:2], whole[1]):
                 publisher.publish(raw)
         assert reader.bring_up()  # after they were sent
-        wait_for(lambda: received[-1:] == ["last"], lambda: time.sleep(0.02))
+        wait_until(lambda: received[-1:] == ["last"], "the last message")
         assert received == ["first", "last"]
         polled: list[str] = []
 
@@ -381,7 +369,7 @@ def test_messages_that_do_not_fit_their_definition_are_left_out_counted_and_name
             polled.extend(message.frame_id for message in reader.polled.messages())
             return polled[-1:] == ["last"]
 
-        wait_for(poll, lambda: time.sleep(0.02))
+        wait_until(poll, "the messages")
         assert polled == ["first", "last"]
         reader.publish_diagnostics()
         report = reader.healths[0].report()
@@ -481,16 +469,15 @@ def test_the_heart_stops_while_no_callback_is_served_and_an_executor_may_change(
     def heard(stream: PolledSubscription) -> int:
         return len(list(stream.take()))
 
-    def idle() -> None:
-        time.sleep(0.05)
-
     try:
         for _ in range(2):  # a task that waits in the first executor does not stop the second
             executor = SingleThreadedExecutor(context=context)
             executor.add_node(node)
-            wait_for(lambda: heard(reports), partial(executor.spin_once, 0.05))
+            wait_until(
+                lambda: heard(reports), "diagnostics", spin=partial(executor.spin_once, 0.05)
+            )
             heard(beats)
-            wait_for(lambda: heard(beats), idle, 2.0)
+            wait_until(lambda: heard(beats), "heartbeats", seconds=2.0)
             silent_since = time.monotonic()
 
             def silent() -> bool:
@@ -499,7 +486,7 @@ def test_the_heart_stops_while_no_callback_is_served_and_an_executor_may_change(
                     silent_since = time.monotonic()
                 return time.monotonic() - silent_since > 1.0
 
-            wait_for(silent, idle, 20.0)
+            wait_until(silent, "their end", seconds=20.0)
             executor.remove_node(node)
             executor.shutdown()
     finally:
@@ -652,7 +639,9 @@ def test_jobs_are_done_in_order_in_the_thread_of_the_node_and_refused_after_its_
         futures: list[Any] = []
         asking = threading.Thread(target=ask)
         asking.start()
-        wait_for(lambda: len(done) == 3, lambda: executor.spin_once(timeout_sec=0.05))
+        wait_until(
+            lambda: len(done) == 3, "all jobs", spin=lambda: executor.spin_once(timeout_sec=0.05)
+        )
         asking.join()
         assert set(done) == {threading.current_thread()}
         assert futures[0].result() == 1 and futures[2].result() == 0

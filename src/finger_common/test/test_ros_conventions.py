@@ -5,9 +5,9 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import pytest
@@ -21,6 +21,7 @@ from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy  # noqa: E402
 from service_calls import call  # noqa: E402
 from std_msgs.msg import Float64  # noqa: E402
+from waiting import wait_until  # noqa: E402
 
 from finger_common.diagnostics import Health  # noqa: E402
 from finger_common.errors import InputError  # noqa: E402
@@ -88,14 +89,8 @@ class Bench:
             Gauge(context=self.context, namespace="left", parameter_overrides=overrides)
         )
 
-    def until(self, condition: Callable[[], Any], seconds: float = 60) -> Any:
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            self.executor.spin_once(timeout_sec=0.05)
-            found = condition()
-            if found:
-                return found
-        raise AssertionError("nothing came in time")
+    def until(self, condition: Callable[[], Any], what: str = "an answer of the node") -> Any:
+        return wait_until(condition, what, spin=partial(self.executor.spin_once, timeout_sec=0.05))
 
     def call(self, kind: Any, service: str, request: Any) -> Any:
         return call(self.observer, kind, service, request, self.until)

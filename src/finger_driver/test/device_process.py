@@ -16,12 +16,12 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
 from service_calls import call
+from waiting import wait_until
 
 from finger_common.processes import bound_to_parent
 from finger_driver.simulators.netft import NetFtSimulator
@@ -141,14 +141,11 @@ class Observer:
         )
         return got
 
-    def until(self, condition: Callable[[], Any], seconds: float = 120, what: str = "") -> Any:
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            result = condition()
-            if result:
-                return result
-            self._executor.spin_once(timeout_sec=0.05)
-        raise AssertionError(f"did not come: {what}")
+    def until(
+        self, condition: Callable[[], Any], seconds: float = 120, what: str = "an answer"
+    ) -> Any:
+        spin = partial(self._executor.spin_once, timeout_sec=0.05)
+        return wait_until(condition, what, spin=spin, seconds=seconds)
 
     def call(self, kind: Any, name: str, request: Any) -> Any:
         return call(self.node, kind, name, request, partial(self.until, what=name))
@@ -157,13 +154,3 @@ class Observer:
         self._executor.shutdown()
         self.node.destroy_node()
         self._rclpy.shutdown(context=self.context)
-
-
-def wait_until(condition: Callable[[], Any], seconds: float = 60, what: str = "") -> Any:
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        result = condition()
-        if result:
-            return result
-        time.sleep(0.01)
-    raise AssertionError(f"did not come within {seconds} s: {what}")

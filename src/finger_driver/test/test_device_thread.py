@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator
 
 import pytest
+from waiting import wait_until
 
 from finger_common.diagnostics import WARN, Health
 from finger_common.errors import DeviceError
@@ -56,13 +57,6 @@ def read() -> Iterator[Callable[..., DeviceThread]]:
         assert thread.stop()
 
 
-def until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.01)
-
-
 @pytest.mark.parametrize(("rate", "silence"), [(500.0, 0.25), (3.0, 1.0)])
 def test_a_slow_sensor_is_not_taken_for_silent(rate: float, silence: float) -> None:
     source = ForceSource(ForceSettings(rate=rate))
@@ -78,8 +72,8 @@ def test_a_device_lost_before_reading_begins_is_connected_again(
     device, samples = Counting(), []
     device.lost = True
     thread = read(device, samples.append)
-    until(lambda: len(samples) > 3)
-    until(lambda: not (device.end_passed(), device.health.faults)[1])
+    wait_until(lambda: len(samples) > 3, "samples")
+    wait_until(lambda: not (device.end_passed(), device.health.faults)[1], "no fault")
     assert thread.running and device.health.counters["reconnects"] == 1
 
 
@@ -119,7 +113,7 @@ def test_a_device_that_fails_while_it_is_closed_is_connected_again(
 
     device, samples = Unplugged(), []
     thread = read(device, samples.append)
-    until(lambda: len(samples) > 8)
+    wait_until(lambda: len(samples) > 8, "samples")
     assert thread.running and device.health.counters["reconnects"] == 1
     assert device.health.counters["close"] == 1
     assert device.health.last_error == "closing it failed (OSError: [Errno 5] Input/output error)"
@@ -144,7 +138,7 @@ def test_a_device_whose_driver_has_a_defect_is_connected_again(
 
     device, samples = Stuck(), []
     read(device, samples.append)
-    until(lambda: len(samples) > 8)
+    wait_until(lambda: len(samples) > 8, "samples")
     assert device.health.counters["internal"] == device.health.counters["reconnects"] == 1
 
 
@@ -160,8 +154,8 @@ def test_an_error_in_the_node_is_forgotten_when_samples_are_taken_again(
         samples.append(sample)
 
     read(device, take)
-    until(lambda: "internal" in device.health.faults)
-    until(lambda: bool(samples) and not device.health.faults)
+    wait_until(lambda: "internal" in device.health.faults, "the fault")
+    wait_until(lambda: samples and not device.health.faults, "samples without a fault")
 
 
 def test_a_fault_ends_though_nothing_comes_after_it(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -172,7 +166,7 @@ def test_a_fault_ends_though_nothing_comes_after_it(monkeypatch: pytest.MonkeyPa
     device.cleared("malformed")
     device.end_passed()
     assert device.health.faults
-    until(lambda: not (device.end_passed(), device.health.faults)[1])
+    wait_until(lambda: not (device.end_passed(), device.health.faults)[1], "no fault")
     device.note("malformed", "a bad line")
     time.sleep(0.15)
     device.end_passed()

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from device_process import Observer, device
+from waiting import wait_until
 
 from finger_common.stamps import header_stamp
 
@@ -188,13 +189,6 @@ def node_of(domain: int, simulator: Any, channel: str, **parameters: Any) -> Ite
             rclpy.shutdown(context=context)
 
 
-def until(condition: Callable[[], bool]) -> None:
-    end = time.monotonic() + 20.0
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.01)
-
-
 def test_a_tare_ends_with_the_calibration_that_it_was_made_in(ros_domain: int) -> None:
     """In place of the board comes one with another transducer, 1 N on it as before."""
     from std_srvs.srv import Trigger
@@ -202,12 +196,12 @@ def test_a_tare_ends_with_the_calibration_that_it_was_made_in(ros_domain: int) -
     from finger_driver.simulators.netcanoem import default_calibration
 
     with force_node(ros_domain, np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0])) as (node, simulator):
-        until(lambda: node._on_tare(Trigger.Request(), Trigger.Response()).success)
-        until(lambda: abs(node._newest[2]) < 0.02)
+        wait_until(lambda: node._on_tare(Trigger.Request(), Trigger.Response()).success, "a tare")
+        wait_until(lambda: abs(node._newest[2]) < 0.02, "a tared force")
         simulator.slots[0] = default_calibration(1)
         simulator.power_cycle()
-        until(lambda: "tare_void" in node.device.health.faults)
-        until(lambda: abs(node._newest[2] + 1.0) < 0.02)
+        wait_until(lambda: "tare_void" in node.device.health.faults, "the end of the tare")
+        wait_until(lambda: abs(node._newest[2] + 1.0) < 0.02, "a force without tare")
         assert node.device.health.notes["tared"] == "no"
 
 
@@ -239,15 +233,17 @@ def test_a_lost_connection_ends_a_zero_that_the_force_does_not_confirm(
             return send(stamp, force, *rest)
 
         node._local.send = keep
-        until(lambda: node._on_tare(Trigger.Request(), Trigger.Response()).success)
+        wait_until(lambda: node._on_tare(Trigger.Request(), Trigger.Response()).success, "a tare")
         load(before)
-        until(lambda: abs(node._newest[2] - before - 0.4) < 0.06)
+        wait_until(lambda: abs(node._newest[2] - before - 0.4) < 0.06, "the step of the force")
         sensor.faults.set("silent")
-        until(lambda: "connection" in health.faults)
+        wait_until(lambda: "connection" in health.faults, "the lost connection")
         number = len(sent)
         load(after)
         sensor.faults.clear()
-        until(lambda: health.counters["reconnects"] and len(sent) > number + 50)
+        wait_until(
+            lambda: health.counters["reconnects"] and len(sent) > number + 50, "samples again"
+        )
         zero = 0.4 if kept else 0.0
         # Not one sample is given with a zero that turned out to be wrong.
         assert np.abs(np.array(sent[number:]) - after - zero).max() < 0.06
@@ -258,7 +254,7 @@ def test_a_lost_connection_ends_a_zero_that_the_force_does_not_confirm(
 
 def test_a_force_beyond_the_sensors_range_is_not_published(ros_domain: int) -> None:
     with force_node(ros_domain, np.array([0.0, 0.0, -150.0, 0.0, 0.0, 0.0])) as (node, _):
-        until(lambda: "implausible" in node.device.health.faults)
+        wait_until(lambda: "implausible" in node.device.health.faults, "the fault")
         assert not node._newest
 
 

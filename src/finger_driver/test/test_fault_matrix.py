@@ -25,7 +25,8 @@ from typing import Any
 import can
 import numpy as np
 import pytest
-from device_process import DeviceProcess, device, netft_settings, wait_until
+from device_process import DeviceProcess, device, netft_settings
+from waiting import wait_until
 
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
@@ -171,8 +172,8 @@ def clean(cell: str) -> str:
 
 
 def settle(good: Callable[[], Any], fault_gone: Callable[[], bool]) -> None:
-    wait_until(good, 60, "good data before the fault")
-    wait_until(fault_gone, 60, "the last fault to be over")
+    wait_until(good, "good data before the fault")
+    wait_until(fault_gone, "the last fault to be over")
 
 
 def free_udp_port() -> int:
@@ -270,19 +271,19 @@ def run_force_fault(
     # What was on its way when the fault began is published first.
     if stops:
         silence = 0.15 if momentary else 0.3
-        wait_until(lambda: not topic.since(time.monotonic() - silence), 60, "silence")
+        wait_until(lambda: not topic.since(time.monotonic() - silence), "silence")
     quiet_from = time.monotonic() + (0.0 if stops else 0.1)
     if not (stops and momentary):
         time.sleep(duration)
     if says and not momentary:
-        wait_until(lambda: test.worst(start, says, not stops)[0] == level, 60, "the report")
+        wait_until(lambda: test.worst(start, says, not stops)[0] == level, "the report")
     quiet_to = time.monotonic()
     end()
     over = time.monotonic()
     first = wait_until(
-        lambda: next((t for t, _ in list(topic.messages) if t > over), None), 60, "recovery"
+        lambda: next((t for t, _ in list(topic.messages) if t > over), None), "recovery"
     )
-    wait_until(lambda: len(topic.since(over)) > 10, 60, "a stream again")
+    wait_until(lambda: len(topic.since(over)) > 10, "a stream again")
     during = topic.since(quiet_from, quiet_to)
     if stops:
         assert not during
@@ -523,8 +524,8 @@ def test_netft_units_changed_on_the_page_while_it_streams(
     start = time.monotonic()
     simulator.say("units N N-mm 1000000 1000000")
     changed = "units or counts were changed"
-    wait_until(lambda: test.worst(start, changed)[0] == 2, 60, "the change to be reported")
-    wait_until(lambda: test.counters["reconnects"] > reconnects, 60, "the page to be read again")
+    wait_until(lambda: test.worst(start, changed)[0] == 2, "the change to be reported")
+    wait_until(lambda: test.counters["reconnects"] > reconnects, "the page to be read again")
     took = time.monotonic() - start
     time.sleep(0.3)
     errors = [np.abs(force_of(m) - TRUE_FORCE).max() for _, m in test.topic.messages[-20:]]
@@ -605,7 +606,7 @@ def test_camera_fault(
         simulator.say(command)
     over = time.monotonic()
     first = wait_until(
-        lambda: next((t for t, _ in list(topic.messages) if t > over), None), 60, "recovery"
+        lambda: next((t for t, _ in list(topic.messages) if t > over), None), "recovery"
     )
     if published == "none":
         assert not during
@@ -716,11 +717,11 @@ def run_moisture_fault(record: Record, rig: tuple[Any, NodeUnderTest], who: str,
         if word == "wait":
             time.sleep(float(number))
         elif word == "reconnect":
-            wait_until(lambda: test.counters.get("reconnects", 0) > reconnects, 60, "reconnection")
+            wait_until(lambda: test.counters.get("reconnects", 0) > reconnects, "reconnection")
         else:
             simulator.say(command)
     sent = time.monotonic()
-    wait_until(lambda: len(test.topic.since(start)) >= len(values), 60, f"{name}: {values}")
+    wait_until(lambda: len(test.topic.since(start)) >= len(values), f"{name}: {values}")
     arrived = test.topic.messages[-1][0]
     time.sleep(0.15)
     messages = test.topic.since(start)

@@ -19,6 +19,7 @@ import can
 import numpy as np
 import pytest
 from device_process import device, netft_settings
+from waiting import wait_until
 
 import finger_driver.device
 from finger_common.errors import DeviceError, InputError
@@ -215,13 +216,6 @@ def request(command: int, count: int) -> bytes:
     return struct.pack(">HHI", 0x1234, command, count)
 
 
-def until(condition: Callable[[], bool]) -> None:
-    end = time.monotonic() + 20.0
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.001)
-
-
 @pytest.mark.parametrize(
     ("command", "lost", "numbers"),
     [
@@ -243,7 +237,7 @@ def test_a_counted_stream_has_that_many_records(
 
         client.send(request(command, numbers[-1][-1]))
         came = [received()]
-        until(lambda: box._client is None)
+        wait_until(lambda: box._client is None, "the end of the stream")
         # What comes before the only record of another stream is of the first one.
         client.send(request(0x0002, 1))
         came += iter(received, [1])
@@ -262,7 +256,7 @@ def test_a_software_bias_outlasts_a_start_and_ends_with_a_reboot() -> None:
         client.send(request(0x0042, 0))
         assert force() == 0
         box.faults.set("reboot", 1)
-        until(lambda: box._down_until > 0.0)
+        wait_until(lambda: box._down_until > 0.0, "the outage")
         box._down_until = 0.0  # its half second is over
         assert force() == -3_000_000
 

@@ -9,12 +9,13 @@ import asyncio
 import json
 import socket
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import aiohttp
 import pytest
 from served_page import Served, next_of, received, run
+from waiting import wait_until
 
 from finger_common.errors import InputError
 from finger_operator.page import server
@@ -28,13 +29,6 @@ def served(monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
     served = Served()
     yield served
     served.server.stop()
-
-
-def wait_for(condition: Callable[[], Any], what: str) -> None:
-    end = time.monotonic() + 30
-    while not condition():
-        assert time.monotonic() < end, what
-        time.sleep(0.02)
 
 
 def connection(served: Served) -> socket.socket:
@@ -182,7 +176,7 @@ def test_a_browser_that_never_reads_is_dropped_and_others_are_served(served: Ser
     )
     with connection(served) as peer:
         peer.sendall(request.encode())
-        wait_for(lambda: served.server._browsers, "the connection")
+        wait_until(lambda: served.server._browsers, "the connection")
 
         async def body(session: aiohttp.ClientSession) -> None:
             async with served.connect(session, token=served.server.token) as reader:
@@ -196,7 +190,7 @@ def test_a_browser_that_never_reads_is_dropped_and_others_are_served(served: Ser
 
         run(body)
         assert closed(peer)
-    wait_for(lambda: not served.server._browsers, "both gone")
+    wait_until(lambda: not served.server._browsers, "both gone")
 
 
 def test_a_browser_that_never_confirms_is_dropped(served: Served) -> None:

@@ -11,11 +11,13 @@ import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 from service_calls import call
+from waiting import wait_until
 
 from finger_operator.status_message import status_of
 
@@ -103,13 +105,8 @@ class Suite:
         self.moisture.publish(message)
 
     def until(self, condition: Callable[[], Any], seconds: float = 90.0) -> Any:
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            self.executor.spin_once(timeout_sec=0.05)
-            result = condition()
-            if result:
-                return result
-        raise AssertionError(f"nothing came in time; status {self.status}")
+        spin = partial(self.executor.spin_once, timeout_sec=0.05)
+        return wait_until(condition, lambda: f"status {self.status}", spin=spin, seconds=seconds)
 
     def command(self, name: str) -> Any:
         from std_srvs.srv import Trigger
