@@ -87,6 +87,18 @@ def install_package() -> Callable[..., None]:
     return install
 
 
+@pytest.fixture
+def session(tmp_path: Path) -> Callable[..., Path]:
+    """Function that writes a session bag into the test's folder, with the options of
+    `session_bags.write_session`."""
+    from session_bags import write_session
+
+    def write(name: str = "session", **options: Any) -> Path:
+        return write_session(tmp_path / name, **options)
+
+    return write
+
+
 @pytest.fixture(scope="session")
 def fingerprints(project_root: Path) -> Path:
     """Folder of the real fingerprint images; skips where they are absent."""

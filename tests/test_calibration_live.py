@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -17,11 +16,10 @@ rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
 from geometry_msgs.msg import WrenchStamped  # noqa: E402
+from model_node_peer import RELIABLE, ModelNodePeer  # noqa: E402
 from rcl_interfaces.srv import SetParameters  # noqa: E402
 from rclpy.duration import Duration  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
-from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
-from service_calls import call  # noqa: E402
 
 from finger_bringup.cli import calibration_entries, main, parser  # noqa: E402
 from finger_common.guided_presses import CALIBRATION_PRESSES, FITTING  # noqa: E402
@@ -43,45 +41,34 @@ from finger_msgs.msg import (  # noqa: E402
 from finger_operator.study_plan import PlanSettings  # noqa: E402
 from finger_sim.press import guided_style, plan_press  # noqa: E402
 
-RELIABLE = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
 T0 = 1_700_000_000_000_000_000
 LARGER = 1.25
 """Areas of the finger over those of the shipped one."""
 
 
-class Rig:
+class Rig(ModelNodePeer):
     """Publishes what the other nodes of a rig would, and keeps what the model node answers."""
 
+    patience = 250.0
+
     def __init__(self) -> None:
-        self.node = rclpy.create_node("rig")
+        super().__init__()
         self.states = 0
-        self.events: list[ModelEvent] = []
         self.results: list[DiagnosticStatus] = []
         make, listen = self.node.create_publisher, self.node.create_subscription
-        self.wrench = make(WrenchStamped, "/finger/wrench", RELIABLE)
-        self.area = make(ContactArea, "/finger/contact_area", RELIABLE)
         self.trial = make(Trial, "/finger/trial", STATE_QOS)
         self.status = make(SessionStatus, "/finger/protocol/status", STATE_QOS)
         listen(ContactState, "/finger/contact_state", self._count, RELIABLE)
-        listen(ModelEvent, "/finger/model_events", self.events.append, LATCHED_QOS)
         listen(DiagnosticStatus, "/finger/calibration", self.results.append, LATCHED_QOS)
 
     def _count(self, message: ContactState) -> None:
         self.states += 1
 
-    def until(self, condition: Callable[[], Any], seconds: float = 250.0) -> None:
-        end = time.monotonic() + seconds
-        while not condition():
-            assert time.monotonic() < end, "the node did not answer in time"
-            rclpy.spin_once(self.node, timeout_sec=0.02)
-
     def settle(self, seconds: float = 0.5) -> None:
         """Spin for messages that have no answer, once the node has them."""
         for publisher in (self.trial, self.status, self.area, self.wrench):
             assert publisher.wait_for_all_acked(Duration(seconds=120))
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            rclpy.spin_once(self.node, timeout_sec=0.02)
+        self.spin(seconds)
 
     def announce(self, index: int, phase: TrialPhase, subject: str = "S01", note: str = "") -> None:
         name = CALIBRATION_PRESSES[index].name
@@ -119,11 +106,8 @@ class Rig:
 
 @pytest.fixture
 def rig(ros_domain: int) -> Iterator[Rig]:
-    rclpy.init()
-    rig = Rig()
-    yield rig
-    rig.node.destroy_node()
-    rclpy.try_shutdown()
+    with Rig() as rig:
+        yield rig
 
 
 def start_model(rig: Rig, process: Callable[..., Any], folder: Path) -> Any:
@@ -275,7 +259,7 @@ def test_the_subject_of_the_session_chooses_its_file_and_forgets_the_one_before(
     changed = len(rig.events)
     value = Parameter("parameter_file", value=str(tmp_path / "others.txt")).to_parameter_msg()
     request = SetParameters.Request(parameters=[value])
-    answer = call(rig.node, SetParameters, "/finger/model/set_parameters", request, rig.until)
+    answer = rig.call(SetParameters, "/finger/model/set_parameters", request)
     assert answer.results[0].successful
     rig.settle()
     assert len(rig.events) == changed

@@ -24,12 +24,11 @@ from builtin_interfaces.msg import Time  # noqa: E402
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from geometry_msgs.msg import WrenchStamped  # noqa: E402
 from lifecycle_msgs.srv import ChangeState  # noqa: E402
+from model_node_peer import RELIABLE, ModelNodePeer  # noqa: E402
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue  # noqa: E402
 from rcl_interfaces.srv import SetParameters  # noqa: E402
-from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 from rclpy.serialization import deserialize_message  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
-from service_calls import call  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
 from finger_common.flags import AreaFlag, StateFlag  # noqa: E402
@@ -66,28 +65,23 @@ from finger_msgs.msg import (  # noqa: E402
 )
 from finger_msgs.srv import ForceForArea, PredictContact  # noqa: E402
 
-RELIABLE = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
 T0 = 1_700_000_000_000_000_000
 MS = 1_000_000
 
 
-class Bench:
-    """Sends to one model node in namespace /finger and keeps what it publishes."""
+class Bench(ModelNodePeer):
+    """Keeps all that the model node publishes."""
 
     def __init__(self) -> None:
-        self.node = rclpy.create_node("bench")
+        super().__init__()
         self.states: list[ContactState] = []
-        self.events: list[ModelEvent] = []
         self.diagnostics: dict[str, Any] = {}
         self.said: set[str] = set()
         make = self.node.create_publisher
-        self.wrench = make(WrenchStamped, "/finger/wrench", RELIABLE)
-        self.area = make(ContactArea, "/finger/contact_area", RELIABLE)
         self.moisture = make(Moisture, "/finger/moisture", RELIABLE)
         self.clock = make(Clock, "/clock", 10)
         listen = self.node.create_subscription
         listen(ContactState, "/finger/contact_state", self.states.append, RELIABLE)
-        listen(ModelEvent, "/finger/model_events", self.events.append, LATCHED_QOS)
         listen(DiagnosticArray, "/diagnostics", self._diagnose, 10)
 
     def _diagnose(self, message: DiagnosticArray) -> None:
@@ -97,13 +91,6 @@ class Bench:
             self.diagnostics[name]["message"] = status.message
             self.said |= set(status.message.split("; "))
 
-    def until(self, condition: Callable[[], Any], seconds: float = 60.0) -> None:
-        """Spin until the condition holds."""
-        end = time.monotonic() + seconds
-        while not condition():
-            assert time.monotonic() < end, "the node did not answer in time"
-            rclpy.spin_once(self.node, timeout_sec=0.02)
-
     def connected(self) -> None:
         self.until(lambda: self.wrench.get_subscription_count() > 0)
         self.until(lambda: self.node.count_publishers("/finger/contact_state") > 0)
@@ -112,12 +99,7 @@ class Bench:
 
     def settle(self) -> None:
         """Spin for what is still in transit: discovery, messages without an answer."""
-        end = time.monotonic() + 0.5
-        while time.monotonic() < end:
-            rclpy.spin_once(self.node, timeout_sec=0.02)
-
-    def call(self, kind: Any, name: str, request: Any) -> Any:
-        return call(self.node, kind, name, request, self.until)
+        self.spin()
 
     def set(self, name: str, value: Any) -> Any:
         """Set a parameter; gives the result."""
@@ -153,11 +135,8 @@ def to_time(stamp: int) -> Time:
 
 @pytest.fixture
 def bench(ros_domain: int) -> Iterator[Bench]:
-    rclpy.init()
-    bench = Bench()
-    yield bench
-    bench.node.destroy_node()
-    rclpy.try_shutdown()
+    with Bench() as bench:
+        yield bench
 
 
 def start(process: Callable[..., Any], *parameters: str) -> Any:
@@ -427,7 +406,7 @@ def test_what_is_wrong_with_an_input_is_named_in_diagnostics(
     publisher = other.create_publisher(WrenchStamped, "/finger/wrench", RELIABLE)
     says(
         "contact state",
-        "/finger/wrench is published by /bench and /other_driver: this node mixes them",
+        "/finger/wrench is published by /other_driver and /peer: this node mixes them",
     )
     other.destroy_publisher(publisher)
     bench.diagnostics.clear()

@@ -1,32 +1,18 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Fixtures of these tests: session bags as in the tests of finger_bag, and files to import."""
+"""Fixtures of these tests: files to import."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "finger_bag" / "test"))
 
 from import_files import ABOUT, FRAMES, TIME, area_at, csv, force_at
-from session_bags import write_session
-
-
-@pytest.fixture
-def session(tmp_path: Path) -> Callable[..., Path]:
-    """Function that writes a session bag into the test's folder."""
-
-    def write(name: str = "session", **options: Any) -> Path:
-        return write_session(tmp_path / name, **options)
-
-    return write
 
 
 @pytest.fixture

@@ -6,11 +6,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from live_recording import EventLog
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from session_bags import START, wrench
 
@@ -35,7 +37,6 @@ from finger_model.finger import load_for, load_reduced
 from finger_model.geometry import Geometry
 from finger_model.messages import (
     area_of,
-    event_fields,
     moisture_of,
     wrench_of,
 )
@@ -152,15 +153,8 @@ def live_recording(
     if subject is not None:
         estimator = ContactEstimator(load_for(subject), subject, settings)
     published = []
-    sequence = 0
     with BagWriter(path) as bag:
-
-        def tell(event: object, log: int) -> None:
-            nonlocal sequence
-            fields = event_fields(event, sequence)  # type: ignore[arg-type]
-            sequence += 1
-            bag.write("model_events", fields, log + behind_ns)
-
+        tell = partial(EventLog(bag).write, behind_ns=behind_ns)
         if subject is not None and start_kept:
             tell(before.start_event(START - 10**11), START - 1000)
             tell(before.change_settings(settings, "asked"), START - 1000)

@@ -8,11 +8,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import yaml
+from live_recording import EventLog
 from session_bags import START, wrench
 
 from finger_bag.cli import command
@@ -24,7 +24,7 @@ from finger_model.estimator import ContactEstimator, EstimateBlock, EstimatorSet
 from finger_model.estimator.estimate import ESTIMATE_DTYPE
 from finger_model.finger import load_for, load_reduced
 from finger_model.geometry import Geometry
-from finger_model.messages import event_fields, event_of
+from finger_model.messages import event_of
 from finger_model.parameter_sets import ParameterSets
 from finger_model.reduced.model import ReducedModel
 from finger_offline.contact_states import serialize
@@ -62,14 +62,8 @@ def live_recording(
     """
     published: list[bytes] = []
     before: ContactEstimator | None = None
-    sequence = 0
     with BagWriter(path) as bag:
-
-        def tell(event: Any, log: int) -> None:
-            nonlocal sequence
-            bag.write("model_events", event_fields(event, sequence), log)
-            sequence += 1
-
+        tell = EventLog(bag).write
         for part, (model, sets) in enumerate(fingers):
             estimator = ContactEstimator(model, sets, SETTINGS)
             begin = START + part * PART * STEP

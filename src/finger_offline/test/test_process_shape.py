@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from live_recording import EventLog
 
 from finger_bag.cli import command
 from finger_bag.definitions import encode
@@ -22,7 +23,7 @@ from finger_model.estimator import ContactEstimator, EstimatorSettings
 from finger_model.finger import load_reduced
 from finger_model.geometry import Geometry
 from finger_model.material import Material
-from finger_model.messages import event_fields, outline_of, shape_fields
+from finger_model.messages import outline_of, shape_fields
 from finger_model.paper import NATURAL
 from finger_model.pose.correction import PoseCorrection
 from finger_model.pose.pose import Pose
@@ -136,14 +137,9 @@ def live_recording(path: Path, pressed: Path) -> list[bytes]:
     estimator = ContactEstimator(load_reduced(), settings=settings)
     core = PoseEstimator(estimator.pose_correction)
     core.outlines.delay = settings.fusion_delay
-    shapes, samples, sequence, frame = [], 0, 0, "plate"
+    shapes, samples, frame = [], 0, "plate"
     with open_bag(pressed) as source, BagWriter(path, {}) as bag:
-
-        def tell(event, log: int) -> None:
-            nonlocal sequence
-            bag.write("model_events", event_fields(event, sequence), log)
-            sequence += 1
-
+        tell = EventLog(bag).write
         tell(estimator.start_event(START), START)
         for item in source.messages():
             stamp, message = item.log_time_ns, item.message

@@ -12,6 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from live_recording import EventLog
 
 from finger_bag.cli import command
 from finger_bag.reader import open_bag
@@ -19,7 +20,7 @@ from finger_bag.writer import BagWriter
 from finger_common.cli import run
 from finger_model.estimator import ContactEstimator, EstimatorEvent
 from finger_model.finger import load_reduced
-from finger_model.messages import area_of, event_fields, slip_numbers, stick_of, wrench_of
+from finger_model.messages import area_of, slip_numbers, stick_of, wrench_of
 from finger_model.slip import SlipEstimator
 
 
@@ -114,11 +115,8 @@ def test_a_recorded_reset_or_surface_is_a_plate_that_was_not_seen_before(
     slip.sticks.delay = 0.1
     wanted: list[tuple] = []
     with open_bag(pull) as reader, BagWriter(tmp_path / "live", {}) as bag:
-
-        def tell(event: EstimatorEvent, number: int, log: int) -> None:
-            bag.write("model_events", event_fields(event, number), log)
-
-        tell(contact.start_event(10**18), 0, 10**18)
+        tell = EventLog(bag).write
+        tell(contact.start_event(10**18), 10**18)
         for item in reader.messages(["/finger/wrench", "/finger/contact_area"]):
             bag.write_raw(item.topic.rsplit("/", 1)[-1], item.raw, item.log_time_ns)
             if item.topic == "/finger/contact_area":
@@ -127,7 +125,7 @@ def test_a_recorded_reset_or_surface_is_a_plate_that_was_not_seen_before(
                 slip.expect_stick_ratio(area[0], *stick_of(item.message))
                 continue
             if len(wanted) == 700:
-                tell(change(contact, "asked"), 1, item.log_time_ns)
+                tell(change(contact, "asked"), item.log_time_ns)
                 (slip.reset if change is ContactEstimator.reset else slip.change_surface)()
             stamp, force = wrench_of(item.message)
             for estimate in contact.add_wrench(stamp, force):

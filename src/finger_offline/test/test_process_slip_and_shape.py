@@ -10,13 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from live_recording import EventLog
 
 from finger_bag.definitions import encode
 from finger_bag.reader import open_bag
 from finger_bag.writer import BagWriter
-from finger_model.estimator import ContactEstimator, EstimatorEvent, EstimatorSettings
+from finger_model.estimator import ContactEstimator, EstimatorSettings
 from finger_model.finger import load_reduced
-from finger_model.messages import event_fields, shape_fields, slip_numbers
+from finger_model.messages import shape_fields, slip_numbers
 from finger_model.shape.estimate import MeasuredOutline
 from finger_model.shape.settings import PoseSettings
 from finger_model.slip import SlipSettings
@@ -41,15 +42,10 @@ def live_recording(
     """
     estimator = ContactEstimator(load_reduced(), settings=settings)
     slip_and_shape = SlipAndShape(estimator, SlipSettings(), PoseSettings())
-    slips, shapes, sequence = [], [], 0
+    slips, shapes = [], []
     before = np.zeros(3), np.zeros(3)
     with BagWriter(path) as bag:
-
-        def tell(event: EstimatorEvent, log: int) -> None:
-            nonlocal sequence
-            bag.write("model_events", event_fields(event, sequence), log)
-            sequence += 1
-
+        tell = EventLog(bag).write
         tell(estimator.start_event(START), START)
         for k in range(1000):
             log = START + k * STEP
