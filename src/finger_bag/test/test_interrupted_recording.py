@@ -120,7 +120,7 @@ def test_nothing_is_written_where_a_disk_was_mounted_until_it_is_there_again(
     recorder, feed, errors = recording(place / "bag")
     place.rename(tmp_path / "pulled")
     place.mkdir()
-    wait_for(lambda: errors, "the error", feed)
+    wait_until(lambda: errors, "the error", spin=feed.slowly)
     monkeypatch.setattr(recorder, "_device", -1)
     with pytest.raises(InputError, match=r"is its disk connected\?"):
         recorder.resume()
