@@ -122,8 +122,13 @@ class Fingers:
     @property
     def space(self) -> ParameterSpace:
         """The space of the parameters, the same for all fingers."""
-        space: ParameterSpace = next(iter(self.by_subject.values())).model.space
+        space: ParameterSpace = self.any.model.space
         return space
+
+    @property
+    def any(self) -> AssumedFinger:
+        """One of them: the law is the same for all."""
+        return next(iter(self.by_subject.values()))
 
     @property
     def geometries(self) -> list[Geometry | None]:

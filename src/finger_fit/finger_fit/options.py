@@ -18,7 +18,7 @@ from finger_common.errors import InputError
 from finger_common.settings import setting
 from finger_common.units import MODULUS_UNITS, TIME_UNITS, unit_named
 from finger_model.geometry import Geometry
-from finger_model.laws import ParameterSpace, ParameterSpec
+from finger_model.laws import ConstitutiveLaw, ParameterSpace, ParameterSpec
 from finger_model.paper import TARGET_FORCE
 
 from .nuisance_priors import NuisancePriors
@@ -221,13 +221,17 @@ class FitOptions(NuisancePriors):
             box[space.index(name)] = _span(text, span, space[name])
         return box
 
-    def memory(self, space: ParameterSpace) -> float:
+    def memory(self, space: ParameterSpace, law: ConstitutiveLaw | None) -> float:
         """Time (s) before a press beyond which a force has no effect on it, for any parameters in
-        the box."""
-        return MEMORY * max(
-            (float(end[1]) for end, spec in zip(self.box(space), space) if spec.unit == "s"),
-            default=0.0,
-        )
+        the box.
+
+        law: of the parameters; None where a model states none: the creep time is its longest time.
+        """
+        box = self.box(space)
+        if law is not None:
+            return MEMORY * law.longest_creep_time(box)
+        times = (float(end[1]) for end, spec in zip(box, space) if spec.unit == "s")
+        return MEMORY * max(times, default=0.0)
 
     def target_of(self, record: Any) -> float:
         """Normal force (N) that ends the loading of a recorded trial: its own, where none is

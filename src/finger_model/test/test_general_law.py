@@ -11,7 +11,7 @@ from finger_model.cli import _main
 from finger_model.fem.full_order import FullOrderModel
 from finger_model.finger import load_areas
 from finger_model.laws import GeneralizedMaxwell2, StandardLinearSolid, load_material
-from finger_model.laws.generalized_maxwell import from_branches
+from finger_model.laws.generalized_maxwell import LAWS_BY_BRANCHES, from_branches
 from finger_model.reduced import ReducedModel
 from finger_model.verification.cases import ramp
 
@@ -142,6 +142,39 @@ def test_one_branch_is_the_default_law_to_rounding(model):
     one, other = (model.simulate(m, time, force) for m in (default, law))
     np.testing.assert_allclose(one.area, other.area, rtol=1e-10)
     np.testing.assert_allclose(one.indentation, other.indentation, rtol=1e-10)
+
+
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_the_longest_creep_time_is_that_of_the_strain(count: int) -> None:
+    """At constant stress 1, ε = 1 + Σ g_k γ_k and τ_k dγ_k/dt = ε − γ_k, which comes to rest with
+    the longest creep time; no other tissue of the box takes longer."""
+    law = LAWS_BY_BRANCHES[count]
+    space, box = law.PARAMETERS, np.array(law.PARAMETERS.box)
+    longest = law().longest_creep_time(box)
+    rng = np.random.default_rng(0)
+    times = []
+    for share in [np.ones(len(box)), *rng.random((20, len(box)))]:
+        tissue = law(**space.mapping(box[:, 0] + share * (box[:, 1] - box[:, 0])))
+        g, tau = (np.array(values) for values in zip(*tissue.branches))
+        follow = (np.eye(count) - g) / tau[:, None]
+        step = 0.5 * longest
+        move = np.linalg.inv(np.eye(count) + 1e-3 * step * follow)
+        apart = np.full(count, 1.0)
+        strains = []
+        for _ in range(2):
+            apart = np.linalg.matrix_power(move, 1000) @ apart
+            strains.append(float(g @ apart))
+        times.append(step / np.log(strains[0] / strains[1]))
+    assert times[0] == pytest.approx(longest, rel=0.03)
+    assert max(times[1:]) <= times[0]
+    assert longest > 9.0 * box[space.index(f"tau_{count}"), 1] / count
+    narrow = np.array([[100e3, 110e3], *[[0.5, 1.0], [0.1, 1.0]] * count, *box[-2:]])
+    assert law().longest_creep_time(narrow) > 100.0, "fractions up to the whole"
+
+
+def test_laws_without_branches_state_their_creep_time() -> None:
+    solid = StandardLinearSolid()
+    assert solid.longest_creep_time(np.array(solid.PARAMETERS.box)) == pytest.approx(0.8)
 
 
 def test_branches_of_one_time_are_one_branch(model):

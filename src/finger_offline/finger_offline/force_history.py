@@ -10,7 +10,8 @@ import numpy as np
 from finger_common.stamps import nanoseconds
 
 LONGEST = 60.0
-"""s before a trial that are kept; the creep times of tissue that a fit knows are far shorter."""
+"""s before a trial that are kept. A fit says where its search box allows tissue that recovers
+later."""
 
 STEP = 0.05
 """s over which the force before a trial is averaged: what creep keeps of it changes slower."""

@@ -19,7 +19,7 @@ from finger_model.laws import ParameterSpace, ParameterSpec
 
 from ..full_order import FullOrder
 from ..nuisance_names import absorber_of
-from ..problem import FitProblem, Goal, prepare_all
+from ..problem import FitProblem, Goal, material_of, prepare_all
 from ..report_units import MM4
 from ..results import ConditionFit
 from ..search import Coordinates, all_free, refine
@@ -194,7 +194,8 @@ def force_modes(fit: ConditionFit) -> dict[str, dict[str, float]]:
     other = "paper" if options.force == "full" else "full"
     changed = replace(options, force=other)
     records = [trial.record for trial in fit.problem.trials]
-    trials, _ = prepare_all(records, changed, changed.memory(fit.problem.space))
+    memory = changed.memory(fit.problem.space, material_of(fit.problem.model))
+    trials, _ = prepare_all(records, changed, memory)
     problem = FitProblem(trials, fit.problem.model, changed, fit.problem.known)
     problem.weigh(fit.problem.area_noise)
     if len(problem.observed) == len(fit.problem.observed):

@@ -19,6 +19,7 @@ from finger_common.errors import FingerError, InputError, ModelError, listed
 from finger_common.subject_code import may_be_one
 from finger_model.fem.area_model import FullOrderAreas
 from finger_model.reduced import ReducedModel
+from finger_offline.force_history import LONGEST
 from finger_offline.trial_split import TrialSettings
 
 from .. import results
@@ -67,9 +68,10 @@ def fit_records(
     if not options.pool:
         _check_fingers(records)
     screened = screen(records, options.indentation_sd > 0)
-    trials, excluded = prepare_all(screened.records, options, options.memory(fingers.space))
+    memory = options.memory(fingers.space, material_of(fingers.any.model))
+    trials, excluded = prepare_all(screened.records, options, memory)
     exclusions = [*screened.exclusions, *excluded]
-    notes = list(screened.notes)
+    notes = [*screened.notes, *_on_memory(trials, memory)]
     if not trials:
         raise nothing_to_fit(exclusions)
     highest = max(trial.drive.highest for trial in trials)
@@ -130,6 +132,21 @@ def fit_records(
         contrasts=[found for part in parts.values() for found in part.contrasts],
         stopped=tried < len(own) or any(part.stopped for part in parts.values()),
     )
+
+
+def _on_memory(trials: Sequence[FitTrial], memory: float) -> list[str]:
+    """Say how many trials may remember presses before the force that was kept; memory: s."""
+    if memory <= LONGEST:
+        return []
+    cut = sum(t.recording.before_time.min(initial=0.0) < 1.0 - LONGEST for t in trials)
+    if not cut:
+        return []
+    return [
+        f"tissue of the search box may take up to {memory:.0f} s to recover from a press, and the "
+        f"force before a press is known for {LONGEST:.0f} s: {cut} presses may begin with tissue "
+        "that has not recovered from presses before; where it recovers faster, give lower upper "
+        "bounds of the times or fractions with --bounds"
+    ]
 
 
 def _check_fingers(records: Sequence[Any]) -> None:

@@ -99,6 +99,19 @@ class GeneralizedMaxwell(MaxwellLaw):
             for k in range(1, 1 + self.INTERNAL_TENSORS)
         )
 
+    def longest_creep_time(self, box: np.ndarray) -> float:
+        """That of the largest fractions and relaxation times: it grows with each of them.
+
+        At constant stress the strain is Σ g_k γ_k, and the dampers follow it by τ_k dγ_k/dt =
+        Σ g_j γ_j − γ_k.
+        """
+        last = 1 + 2 * self.INTERNAL_TENSORS
+        fractions, times = box[1:last:2, 1], box[2:last:2, 1]
+        most = 1.0 - LOWEST_LONG_TERM_FRACTION
+        fractions = fractions * min(1.0, most / fractions.sum())
+        rates = (fractions - np.eye(len(times))) / times[:, None]
+        return float(-1.0 / np.linalg.eigvals(rates).real.max())
+
     @property
     def epidermis_modulus(self) -> float:
         """E2 in Pa."""

@@ -11,7 +11,9 @@ See docs/add_a_law.md for an example, `standard_linear_solid.py` for the default
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import itertools
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -227,6 +229,15 @@ class ConstitutiveLaw(ABC):
     def creep_time(self) -> float:
         """Time (s) in which the strain follows a change of load; infinite for elastic tissue."""
         return math.inf
+
+    def longest_creep_time(self, box: np.ndarray) -> float:
+        """Longest time (s) in which strain creeps at constant stress, of all parameters that the
+        law allows in a box (n, 2); 0 for elastic tissue."""
+        found = [0.0]
+        for corner in itertools.product(*box):
+            with contextlib.suppress(InputError):
+                found.append(self.with_vector(np.array(corner)).creep_time)
+        return max(time for time in found if math.isfinite(time))
 
     # Response of the bulk tissue -------------------------------------------------------------
 
