@@ -104,7 +104,15 @@ class Record:
 
 
 def make_record(
-    index=0, ramp=1.0, noise=0.0, rng=None, condition="natural", truth=TRUTH, peak=1.5, release=0.3
+    index=0,
+    ramp=1.0,
+    noise=0.0,
+    rng=None,
+    condition="natural",
+    truth=TRUTH,
+    peak=1.5,
+    release=0.3,
+    frame_period=FRAME_PERIOD,
 ) -> Record:
     """A press to `peak` N at a steady rate, then a release; areas of the stand-in with noise
     (m²).
@@ -115,7 +123,7 @@ def make_record(
     rising = np.clip((time - 0.4) / ramp * 1.35, 0.0, peak)
     top = 0.4 + ramp * peak / 1.35
     force = np.where(time <= top, rising, peak * np.clip(1 - (time - top) / release, 0.0, 1.0))
-    frames = np.arange(int(length / FRAME_PERIOD)) * FRAME_PERIOD + 0.013
+    frames = np.arange(int(length / frame_period)) * frame_period + 0.013
     grid = np.unique(np.concatenate([time, frames]))
     drive = np.interp(grid, time, force)
     whole = (grid, drive, np.searchsorted(grid, frames))

@@ -152,3 +152,36 @@ def test_bootstrap_samples_are_repeatable_and_spread_like_the_covariance(fitted,
     np.testing.assert_array_equal(samples[5], bootstrap_sample(fitted.problem, best, 3, 5))
     spread = np.log(double.composite(samples)).std(ddof=1)
     assert 0.4 < spread / fitted.found.deviation("composite_E") < 1.7
+
+
+def alike(rng: np.random.Generator, time: np.ndarray, decay: float) -> np.ndarray:
+    """Errors (k,) of variance 1 at times (k,) in s, with a correlation of exp(−Δt/decay)."""
+    found = rng.normal(size=len(time))
+    for k in range(1, len(time) if decay else 0):
+        kept = np.exp(-(time[k] - time[k - 1]) / decay)
+        found[k] = kept * found[k - 1] + np.sqrt(1.0 - kept**2) * found[k]
+    return found
+
+
+@pytest.mark.parametrize("decay", [0.0, 0.3])
+def test_deviations_are_those_of_the_errors_of_frames_that_err_alike(double, decay: float) -> None:
+    """Repeated fits of presses at 30 frames/s: errors over stated deviations come out near one."""
+    problem = double.make_problem(
+        trials=6, options=FitOptions(window="contact"), frame_period=1 / 30, release=1.5
+    )
+    clean = problem.measured.copy()
+    names = ("E0", "E1", "tau1", "E2", "composite_E")
+    truth = np.array([quantity(name, double.TRUTH) for name in names])
+    found, times = [], []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        errors = [alike(rng, trial.frame_time, decay) for trial in problem.trials]
+        problem.measured = clean + 1.0e-6 * np.concatenate(errors)
+        fit = refine(problem, all_free(problem), double.TRUTH).parameters
+        known = covariance(problem, fit)
+        error = np.log([quantity(name, fit) for name in names] / truth)
+        found.append(error / [known.data_deviation(name) for name in names])
+        times.append(known.frames.time)
+    size = np.sqrt(np.mean(np.square(found), axis=0))
+    assert (size > 0.6).all() and (size < 1.5).all(), size
+    assert np.median(times) == (0.0 if not decay else pytest.approx(decay, rel=0.5))

@@ -12,11 +12,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from scipy.special import stdtrit
 
 from finger_common.subject_code import may_be_one
 
-from ..uncertainty import NORMAL_95, BiasCorrected, Covariance, Goodness, Profile, shifted_interval
+from ..uncertainty import (
+    NORMAL_95,
+    BiasCorrected,
+    Covariance,
+    Goodness,
+    Profile,
+    shifted_interval,
+    student_95,
+)
 
 if TYPE_CHECKING:
     from finger_model.fem.fields import Fields
@@ -175,7 +182,7 @@ class ConditionFit:
         data_sd = assumed_sd = math.nan
         if known is not None:
             data_sd, assumed_sd = known.data_deviation(name), known.assumed_deviation(name)
-            reach = float(stdtrit(max(len(self.problem) - 1, 1), 0.975)) * data_sd
+            reach = student_95(len(self.problem)) * data_sd
             data_interval = self._around(name, reach)
             interval = self._around(name, float(np.hypot(reach, NORMAL_95 * assumed_sd)))
         cut = self._cut(name, interval)
@@ -274,7 +281,7 @@ class AssumedLengths:
 
 @dataclass(frozen=True)
 class DeformedFinger:
-    """The full-order finger of one trial at its last frame (SI), for a figure.
+    """The full-order finger of one trial at its largest force (SI), for a figure.
 
     strain (E,): half the difference of an element's principal in-plane stretches.
     """

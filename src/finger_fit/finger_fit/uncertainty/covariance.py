@@ -5,10 +5,11 @@
 
 With the frames' weights w, residuals r and sensitivities s = ∂A/∂x in the coordinates x
 (logarithms), J ≈ J_min + δᵀ H δ with H = Σ w s sᵀ. The estimate's covariance is V = H⁻¹ B H⁻¹, B
-the covariance of Σ w r s. B is computed twice: for independent frames of equal noise, and from the
-scatter of whole trials, which also holds when the frames of a trial share an error (Liang and Zeger
-1986). What the second has more than the first, in any direction of the coordinates, is added to
-the first: no quantity, of several parameters either, then has less than the larger variance.
+the covariance of Σ w r s. B is computed twice: for frames of equal noise, whose errors are alike as
+far as their residuals show it (`frame_errors`), and from the scatter of whole trials, which also
+holds when the frames of a trial share an error (Liang and Zeger 1986). What the second has more
+than the first, in any direction of the coordinates, is added to the first: no quantity, of several
+parameters either, then has less than the larger variance.
 
 With nuisance parameters (`problem.Goal`), those of one trial are eliminated in H and in the first
 B; those shared by all trials are further coordinates, with their priors in H and in both B. So the
@@ -33,6 +34,7 @@ import numpy as np
 from finger_model.laws import ParameterSpace
 
 from ..problem import FitProblem, robust_factor, slope_between
+from .frame_errors import FrameErrors, frame_errors
 
 AT_BOUND = 1e-3
 """A parameter this close to a bound, in its coordinate, lies on it."""
@@ -51,9 +53,10 @@ class Covariance:
 
     curvature (N, N): H in m⁴; noise: m², standard deviation of a frame's residual; active:
     parameters on a bound of the search box (N, 2), with "low" or "high"; scores (M, T): Σ w r s of
-    every trial; frame_information (M, M): B of independent frames. nuisances: names of the K shared
+    every trial; frame_information (M, M): B of the frames. nuisances: names of the K shared
     nuisances, M = N + K: they follow the parameters in curvature, scores and frame_information, and
-    in prior (M,), their part of H; assumed (K,): which are not estimated.
+    in prior (M,), their part of H; assumed (K,): which are not estimated. frames: how the errors of
+    neighbouring frames are alike; None of a plan.
     """
 
     space: ParameterSpace
@@ -68,6 +71,7 @@ class Covariance:
     variance: float
     nuisances: tuple[str, ...] = ()
     assumed: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    frames: FrameErrors | None = None
 
     @functools.cached_property
     def covariance(self) -> np.ndarray:
@@ -333,6 +337,11 @@ def covariance(
         noise = expected_noise
     spread = np.hstack([filtered * noise, (filtered @ own) * own_sd])
     information = spread @ spread.T
+    frames = None
+    if not planned:
+        frames = _frame_errors(problem, slope[free], weight, robust * residual, noise)
+        rows, times = filtered[:, : len(problem.measured)], _times(problem)
+        information += frames.information(rows, times) - noise**2 * rows @ rows.T
     scores = problem.by_trial(weight * residual * slope)
     kept = number + len(names)
     if kept < len(curvature):
@@ -355,7 +364,37 @@ def covariance(
         variance,
         names,
         assumed,
+        frames,
     )
+
+
+def _frame_errors(
+    problem: FitProblem, slope: np.ndarray, weight: np.ndarray, residual: np.ndarray, noise: float
+) -> FrameErrors:
+    """Errors of the frames, from residuals (n,) in m² of all rows with weights (n,).
+
+    slope (N, n): of the free parameters; noise: m², of independent frames.
+    """
+    shared, precision = problem.nuisances, np.zeros(len(slope))
+    if shared is not None:
+        found = ~shared.assumed
+        slope = np.vstack([slope, shared.slope[:, found].T])
+        precision = np.append(precision, shared.variance / shared.sd[found] ** 2)
+    gain = inverse_of((slope * weight) @ slope.T + np.diag(precision)) @ (slope * weight)
+    areas = slice(len(problem.measured))
+    return frame_errors(
+        residual[areas],
+        problem.weight > 0.0,
+        slope.T[areas],
+        gain[:, areas],
+        _times(problem),
+        noise**2,
+    )
+
+
+def _times(problem: FitProblem) -> list[np.ndarray]:
+    """Times (k,) in s of the frames of each trial."""
+    return [trial.frame_time for trial in problem.trials]
 
 
 def inverse_of(matrix: np.ndarray) -> np.ndarray:

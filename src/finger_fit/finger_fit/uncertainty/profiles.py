@@ -158,8 +158,17 @@ def _allowed_rise(problem: FitProblem, name: str, found: Covariance) -> float:
 
 
 def _student(problem: FitProblem) -> float:
-    """Deviations from the estimate to an end of the 95 % interval."""
-    return float(stdtrit(max(len(problem) - 1, 1), 0.975))
+    return student_95(len(problem))
+
+
+def degrees_of_freedom(presses: int) -> int:
+    """Of the scatter between presses."""
+    return max(presses - 1, 1)
+
+
+def student_95(presses: int) -> float:
+    """Deviations from an estimate of so many presses to an end of its 95 % interval."""
+    return float(stdtrit(degrees_of_freedom(presses), 0.975))
 
 
 def _crossing(
