@@ -17,6 +17,7 @@ from finger_common.cli import run
 from finger_common.errors import InputError
 from finger_fit.cli import command
 from finger_fit.hierarchy import Estimates, HierarchyPriors, posterior
+from finger_fit.hierarchy.command import _arrays, read_subjects
 from finger_model.laws import StandardLinearSolid
 
 PRIORS = HierarchyPriors(level=1.0, level_sd=1.0, slope_sd=0.5)
@@ -133,7 +134,7 @@ def test_an_error_that_a_subject_has_in_all_conditions_is_no_spread_between_peop
     assert contrast[1].std() == pytest.approx(contrast[0].std(), rel=0.2)
 
 
-def fit_file(folder: Path, subjects: int = 8) -> Path:
+def fit_file(folder: Path, subjects: int = 8, trials: int = 15) -> Path:
     """A fit.json of subjects who are 1.5 times stiffer when dry."""
     rng = np.random.default_rng(4)
     space = StandardLinearSolid.PARAMETERS
@@ -143,6 +144,7 @@ def fit_file(folder: Path, subjects: int = 8) -> Path:
         conditions = {}
         for name, factor, moisture in (("dry", 1.5, 38.0), ("natural", 1.0, 70.0)):
             entry = {"moisture_mean": moisture + rng.normal(), "active_bounds": {}, "from_data": {}}
+            entry["trials"] = trials
             for q in space.quantity_names:
                 low, high = space.quantity_bounds(q)
                 value = 0.6 * np.sqrt(low * high) * factor * np.exp(level + 0.05 * rng.normal())
@@ -156,6 +158,17 @@ def fit_file(folder: Path, subjects: int = 8) -> Path:
     folder.mkdir(exist_ok=True)
     (folder / "fit.json").write_text(json.dumps(data))
     return folder
+
+
+def test_fits_of_few_presses_count_less(tmp_path: Path) -> None:
+    """Of three presses, an interval is 4.30 deviations long to each side, not 1.96."""
+
+    def spread(trials: int) -> float:
+        subjects = read_subjects([str(fit_file(tmp_path / str(trials), trials=trials))])
+        return float(_arrays(subjects, ["dry", "natural"], "composite_E")[1].mean())
+
+    many, three = spread(100_000), spread(3)
+    assert many == pytest.approx(0.05, rel=0.01) and three / many == pytest.approx(2.195, rel=0.01)
 
 
 def test_the_command_reads_fits_and_writes_the_population(

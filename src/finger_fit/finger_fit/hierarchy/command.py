@@ -25,6 +25,7 @@ from finger_common.moisture import is_moisture
 from finger_model.laws import ParameterSpace, StandardLinearSolid, law_of
 
 from ..nuisance_names import AREA_GAIN
+from ..uncertainty import NORMAL_95, student_95
 from .model import Estimates, HierarchyPriors, Posterior, ends, posterior
 
 MOISTURE_UNIT = 10.0
@@ -238,7 +239,9 @@ def _arrays(
             total = known["sd_log"] ** 2 + known["sd_log_assumed"] ** 2
             common[i, j] = assumed.pop(AREA_GAIN, 0.0)
             left = total - common[i, j] ** 2 - sum(move**2 for move in assumed.values())
-            sd[i, j] = math.sqrt(max(left, known["sd_log"] ** 2, 1e-8))
+            # The Gaussian with the 95 % interval that Student's t gives few presses.
+            wider = student_95(int(known["trials"])) / NORMAL_95
+            sd[i, j] = wider * math.sqrt(max(left, known["sd_log"] ** 2, 1e-8))
             for length, move in assumed.items():
                 lengths.setdefault(length, len(lengths))
                 moves.append((i, j, length, move))
@@ -257,7 +260,7 @@ def _deviations(
     if not isinstance(own, dict) or not isinstance(own.get("assumed"), dict):
         raise InputError(f"{where} holds no deviation of {name}; fit again with this version")
     known = {key: number(own, key, where) for key in ("sd_log", "sd_log_assumed")}
-    known[name] = number(dict(entry), name, where)
+    known |= {key: number(dict(entry), key, where) for key in (name, "trials")}
     assumed = {key: number(own["assumed"], key, where) for key in own["assumed"]}
     if known[name] <= 0.0 or max(map(abs, (*known.values(), *assumed.values()))) > LARGEST:
         raise InputError(f"{where}: no value and deviations of {name} that a fit gives; correct it")

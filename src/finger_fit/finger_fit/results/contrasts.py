@@ -15,6 +15,7 @@ import numpy as np
 from finger_model.geometry import LENGTHS
 
 from ..nuisance_names import AREA_GAIN
+from ..uncertainty import degrees_of_freedom
 from .fits import ConditionFit
 
 FEWEST_SAMPLES = 40
@@ -113,9 +114,10 @@ def _logarithms(fit: ConditionFit, name: str) -> tuple[np.ndarray, str]:
     """Draws (`DRAWS`,) of a quantity's logarithm and where they come from.
 
     Of the covariance, as the report's intervals are: linear in the logarithm of the quantity
-    itself. One that is drawn from its parameters is skewed where the box holds one of them back,
-    and of errors that are cut off at the box those that two conditions share do not cancel. Row k
-    of two conditions has the same errors of what they share.
+    itself, with Student's t for the errors of few presses. One that is drawn from its parameters is
+    skewed where the box holds one of them back, and of errors that are cut off at the box those
+    that two conditions share do not cancel. Row k of two conditions has the same errors of what
+    they share.
     """
     assert fit.covariance is not None
     known, seed = fit.covariance.released, fit.problem.options.seed
@@ -125,7 +127,7 @@ def _logarithms(fit: ConditionFit, name: str) -> tuple[np.ndarray, str]:
     if samples is not None and len(samples) >= FEWEST_SAMPLES and fit.nuisance is None:
         rows = own.integers(len(samples), size=DRAWS)
         return fit.space.log_quantity(name, samples[rows]), "bootstrap"
-    drawn = own.normal(scale=known.data_deviation(name), size=DRAWS)
+    drawn = own.standard_t(degrees_of_freedom(len(fit.problem)), DRAWS) * known.data_deviation(name)
     shared = np.random.default_rng(seed).normal(size=(len(LENGTHS) + 1, DRAWS))
     errors = dict(zip((AREA_GAIN, *LENGTHS), shared))
     for nuisance, move in known.assumed_moves(name).items():
