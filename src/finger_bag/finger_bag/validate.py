@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -313,26 +313,42 @@ def _check_gaps(streams: SessionStreams, settings: ReadSettings, result: Validat
     )
 
 
+class Saturation(NamedTuple):
+    """A force (N) at which a sensor stays for so many samples; coarse: its forces are rounded so
+    that equal ones are usual."""
+
+    force: float
+    samples: int
+    coarse: bool
+
+
+def saturations(stamp_ns: np.ndarray, force: np.ndarray) -> list[Saturation]:
+    """Extreme values at which the forces (n,) in N of one axis, with stamps (n,) in ns, stay."""
+    steps = np.diff(stamp_ns)
+    rate = NANOSECONDS / max(float(np.median(steps)), 1.0) if len(steps) else 0.0
+    values = force[np.isfinite(force)]
+    levels = np.unique(values)
+    coarse = len(levels) > 1 and bool(np.diff(levels).min() >= COARSE)
+    found = []
+    for extreme in levels[[-1, 0]] if len(levels) else ():
+        longest = longest_run(values == extreme)
+        if abs(extreme) >= 1.0 and longest >= max(SATURATED_SAMPLES, SATURATED_TIME * rate):
+            found.append(Saturation(float(extreme), longest, coarse))
+    return found
+
+
+def longest_run(mask: np.ndarray) -> int:
+    """Most true values of a mask (n,) in a row."""
+    edges = np.flatnonzero(np.diff(np.pad(mask, 1).astype(np.int8)))
+    return int((edges[1::2] - edges[::2]).max(initial=0))
+
+
 def _check_saturation(streams: SessionStreams, result: Validation) -> None:
     axes, coarse = [], True
-    steps = np.diff(streams.wrenches.stamp_ns)
-    rate = NANOSECONDS / max(float(np.median(steps)), 1.0) if len(steps) else 0.0
     for column, name in enumerate("xyz"):
-        values = streams.wrenches.force[:, column]
-        values = values[np.isfinite(values)]
-        if not len(values):
-            continue
-        levels = np.unique(values)
-        rounding = np.diff(levels).min() if len(levels) > 1 else 0.0
-        for extreme in (values.max(), values.min()):
-            if abs(extreme) < 1.0:
-                continue
-            at = np.concatenate([[0], (values == extreme).astype(np.int8), [0]])
-            edges = np.flatnonzero(np.diff(at))
-            longest = int((edges[1::2] - edges[::2]).max()) if len(edges) else 0
-            if longest >= max(SATURATED_SAMPLES, SATURATED_TIME * rate):
-                coarse = coarse and bool(rounding >= COARSE)
-                axes.append(f"{name} stays at {extreme:.2f} N for {longest} samples")
+        for at in saturations(streams.wrenches.stamp_ns, streams.wrenches.force[:, column]):
+            coarse = coarse and at.coarse
+            axes.append(f"{name} stays at {at.force:.2f} N for {at.samples} samples")
     invalid = int((~np.isfinite(streams.wrenches.force).all(axis=1)).sum())
     flags = streams.areas["flags"]
     clipped = int(((flags & AreaFlag.CLIPPED) != 0).sum())

@@ -25,6 +25,7 @@ from finger_fit.options import FitOptions
 from finger_fit.problem import FitProblem
 from finger_fit.quality import screen
 from finger_fit.results import Finger, check_folder, parameter_files, write
+from finger_fit.results.tables import trial_rows
 from finger_fit.study import fit_records
 from finger_fit.study.bags import load, reading
 from finger_model.anthropometry import estimate_geometry
@@ -540,6 +541,55 @@ def test_lists_that_are_cut_say_how_many_more_there_are(
         for press in presses:
             del press.doubts
     assert detail.endswith("bag 2: stamps run back; and 1 more")
+
+
+def test_a_force_at_the_end_of_the_sensors_range_fails(
+    double: SimpleNamespace, presses: list[Any]
+) -> None:
+    rng = np.random.default_rng(0)
+    noisy = [replace(r, force=r.force + rng.normal(0.0, 2e-3, len(r.force))) for r in presses]
+    assert status_of(fitted(double, noisy), "saturation")[0] == "ok"
+    cut = [replace(r, force=np.minimum(r.force, 1.38)) for r in noisy]
+    status, text = status_of(fitted(double, cut), "saturation")
+    assert status == "fail" and "stays at 1.38 N" in text and "4 of 4 presses" in text
+    # Rounded to 0.02 N, equal ones are usual.
+    coarse = [replace(r, force=np.round(r.force / 0.02) * 0.02) for r in cut]
+    assert status_of(fitted(double, coarse), "saturation")[0] != "fail"
+
+
+def test_areas_that_are_cut_off_fail(double: SimpleNamespace) -> None:
+    """At the border of the image; not areas in steps, which are often equal."""
+    presses = [
+        double.make_record(i, 0.6 + 0.4 * i, 0.3e-6, release=1.5, frame_period=1 / 30)
+        for i in range(4)
+    ]
+    assert status_of(fitted(double, presses), "saturation")[0] == "ok"
+    cut = [replace(r, area=np.minimum(r.area, 0.9 * r.area.max())) for r in presses]
+    status, text = status_of(fitted(double, cut), "saturation")
+    assert status == "fail" and "areas stay at exactly" in text and "4 of 4 presses" in text
+    steps = [replace(r, area=np.round(r.area / 5e-6) * 5e-6) for r in presses]
+    assert status_of(fitted(double, steps), "saturation")[0] == "ok"
+
+
+def test_frames_that_err_alike_are_noted(double: SimpleNamespace) -> None:
+    rng = np.random.default_rng(0)
+    presses = []
+    for index in range(4):
+        record = double.make_record(index, 0.8 + 0.4 * index, release=1.5, frame_period=1 / 30)
+        errors = np.convolve(rng.normal(size=len(record.area) + 9), np.ones(10), "valid")
+        area = np.where(record.area > 0, np.maximum(record.area + 0.5e-6 * errors, 1e-9), 0.0)
+        presses.append(replace(record, area=area))
+    options = replace(QUICK, window="contact")
+    status, text = status_of(fitted(double, presses, options), "errors of the frames")
+    assert status == "note" and "alike from frame to frame" in text
+
+
+def test_the_loading_ends_at_the_largest_force(double: SimpleNamespace, presses: list[Any]) -> None:
+    """Whatever frames count."""
+    for window in ("loading", "contact"):
+        result = fitted(double, presses, replace(QUICK, window=window))
+        found = [row["loading_s"] for row in trial_rows(result)]
+        assert found == pytest.approx([0.6 + 0.4 * i for i in range(4)], rel=0.2)
 
 
 def test_stamps_that_ran_back_fail(double: SimpleNamespace, presses: list[Any]) -> None:

@@ -202,6 +202,11 @@ class FitTrial:
         return self.time[self.frames]
 
     @property
+    def loading(self) -> float:
+        """Time (s) of the largest force."""
+        return float(self.time[int(np.argmax(self.force))])
+
+    @property
     def frame_force(self) -> np.ndarray:
         """Driving force (k,) in N at the frames that count."""
         return self.force[self.frames]

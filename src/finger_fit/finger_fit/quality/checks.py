@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from finger_bag.validate import FAIL, NOTE, OK
+from finger_bag.validate import FAIL, NOTE, OK, longest_run, saturations
 from finger_common.errors import listed
 from finger_common.flags import AreaFlag
 from finger_model.geometry import Geometry
@@ -75,6 +75,9 @@ the travel of a press, from which it fails then: fingers whose lengths are off b
 deviations stay below 0.06 (simulated), a gain of 1.5 or a clock 0.3 s late comes to 0.08 or
 more."""
 
+EQUAL_AREAS = 5
+"""Frames in a row with exactly the largest area of a press from which areas are cut off there."""
+
 STEP = 0.01
 """s between the samples of the force by which the lag is looked for."""
 
@@ -105,6 +108,8 @@ def quality_of(fit: ConditionFit) -> Quality:
         )
     _check_frames(out, problem.trials)
     _check_times(out, problem.trials)
+    _check_saturation(out, problem.trials)
+    _check_frame_errors(out, fit)
     _check_lag(out)
     _check_tare(out, problem.trials)
     _check_scatter(out)
@@ -177,6 +182,60 @@ def _check_frames(out: Quality, trials: Sequence[FitTrial]) -> None:
 def _check_times(out: Quality, trials: Sequence[FitTrial]) -> None:
     doubts = list(dict.fromkeys(d for t in trials for d in getattr(t.record, "doubts", ())))
     out.add("stamps", FAIL if doubts else OK, listed(doubts, 3, "; ") or "in order")
+
+
+def _check_saturation(out: Quality, trials: Sequence[FitTrial]) -> None:
+    """Find forces and areas that stay at their largest value: of a sensor at the end of its range,
+    or of a contact that is larger than the image."""
+    forces = [
+        at for t in trials for at in saturations(t.record.stamp_ns, np.asarray(t.record.force))
+    ]
+    parts = []
+    if forces:
+        most = max(forces, key=lambda at: at.samples)
+        parts.append(
+            f"the force stays at {minus(f'{most.force:.3g}')} N for up to {most.samples} samples "
+            f"({len(forces)} of {len(trials)} presses): use a sensor of a larger range, or press "
+            "less"
+        )
+    cut = [t for t in trials if _cut_off(np.asarray(t.record.area, dtype=float))]
+    if cut:
+        largest = MM2 * max(float(np.nanmax(t.record.area)) for t in cut)
+        parts.append(
+            f"areas stay at exactly {largest:.1f} mm² ({len(cut)} of {len(trials)} presses), as "
+            "where the contact is larger than the image: give NaN for these frames"
+        )
+    failing = bool(cut) or not all(at.coarse for at in forces)
+    status = FAIL if parts and failing else NOTE if parts else OK
+    out.add("saturation", status, "; ".join(parts) or "no force or area stays at its largest value")
+
+
+def _cut_off(area: np.ndarray) -> bool:
+    """Whether areas (n,) of a press are cut off at the largest. Not those of few levels, such as
+    counts of large pixels, which are often equal."""
+    area = area[np.isfinite(area) & (area > 0.0)]
+    if not len(area):
+        return False
+    largest = area == area.max()
+    others = area[~largest]
+    return longest_run(largest) >= EQUAL_AREAS and len(np.unique(others)) > 0.5 * len(others)
+
+
+def _check_frame_errors(out: Quality, fit: ConditionFit) -> None:
+    """Say whether neighbouring frames err alike, so that they tell less than independent ones."""
+    found = fit.covariance.frames if fit.covariance is not None else None
+    if found is None:
+        return
+    if not found.alike:
+        out.add("errors of the frames", OK, "independent from frame to frame")
+        return
+    out.add(
+        "errors of the frames",
+        NOTE,
+        f"alike from frame to frame: {100 * found.share:.0f} % of their variance lasts for about "
+        f"{found.time:.2g} s, so that the frames tell less than as many independent ones; the "
+        "intervals allow for it",
+    )
 
 
 def _check_lag(out: Quality) -> None:

@@ -107,7 +107,7 @@ def _trend(fit: ConditionFit, left: np.ndarray) -> Trend | None:
     problem = fit.problem
     force, trial = problem.force, problem.trial_of
     high = force >= problem.options.low_force
-    loading = np.concatenate([_before_peak(t.frame_time, t.time, t.force) for t in problem.trials])
+    loading = np.concatenate([t.frame_time <= t.loading for t in problem.trials])
     parts: list[tuple[np.ndarray, bool]] = []
     for side in (True, False):
         rows = np.flatnonzero(high & (loading == side))
@@ -136,14 +136,9 @@ def _trend(fit: ConditionFit, left: np.ndarray) -> Trend | None:
     )
 
 
-def _before_peak(frames: np.ndarray, time: np.ndarray, force: np.ndarray) -> np.ndarray:
-    """Mask (k,) of the frames up to the largest force of a press."""
-    return frames <= time[int(np.argmax(force))]
-
-
 def _by_duration(fit: ConditionFit, gains: np.ndarray) -> float:
     """Change of log gains (T,) between the shortest and the longest loading."""
-    durations = np.array([t.time[int(np.argmax(t.force))] for t in fit.problem.trials])
+    durations = np.array([trial.loading for trial in fit.problem.trials])
     known = np.isfinite(gains)
     gains, durations = gains[known], durations[known]
     if len(gains) < 4 or not durations.min() > 0 or durations.max() < 1.2 * durations.min():

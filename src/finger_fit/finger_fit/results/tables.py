@@ -154,7 +154,7 @@ def trial_rows(result: FitResult) -> Rows:
                     "condition": condition,
                     "trial": trial.label,
                     "moisture_au": trial.moisture,
-                    "loading_s": trial.frame_time[-1],
+                    "loading_s": trial.loading,
                     "peak_force_n": trial.drive.record_force.max(),
                     "frames": len(trial.area),
                     "largest_area_mm2": trial.area.max() * MM2,
