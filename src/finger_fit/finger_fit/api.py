@@ -32,10 +32,9 @@ from finger_offline.force_history import force_before
 from finger_offline.held_areas import held_rows, held_text
 from finger_offline.trial_checks import (
     LARGEST_FORCE,
-    LONGEST_PRESS,
     PLAUSIBLE_AREA,
-    SHORTEST_PRESS,
     fault_of,
+    length_fault,
 )
 from finger_offline.trial_records import TrialRecord
 from finger_offline.trial_split import TrialSettings
@@ -44,7 +43,7 @@ from finger_offline.unloaded import pressed_force, reached_force, unloaded_tare
 from .fingers import Fingers, GeometrySource, by_subject
 from .options import FitOptions
 from .problem import force_limit_of
-from .problem.trials import smoothed
+from .problem.trials import sample_period, smoothed
 from .report_units import CUT_NOTE, interval_text
 from .results import ConditionFit, Finger, FitResult, QuantityResult, check_folder, write
 from .study import draw, fit_records, provenance
@@ -123,7 +122,7 @@ class Trial:
             )
         first, end = touches[int(np.argmax(peaks))]
         span = (float(force.time[first]), float(force.time[min(end, len(stamps) - 1)]))
-        _check_units(name, span, peak, area)
+        _check_units(name, span, sample_period(force.time), peak, area)
         target = _scalar(self.target_force, f"{name}: target_force")
         if not 0.0 <= target <= peak:
             raise InputError(
@@ -310,12 +309,15 @@ def _about(touches: Sequence[tuple[int, int]], n: int, time: np.ndarray) -> slic
     return slice(max(low, before), min(high, after))
 
 
-def _check_units(name: str, span: tuple[float, float], peak: float, seen: _Signal) -> None:
-    """Raise InputError for what no press can be: its span (s), its peak (N), and its areas (m²)."""
+def _check_units(
+    name: str, span: tuple[float, float], period: float, peak: float, seen: _Signal
+) -> None:
+    """Raise InputError for what no press can be: its span (s) with samples a period (s) apart, its
+    peak (N), and its areas (m²)."""
     frames, area = seen.time, seen.values
-    lasts, (low, high) = span[1] - span[0], PLAUSIBLE_AREA
-    if not SHORTEST_PRESS <= lasts <= LONGEST_PRESS:
-        raise InputError(f"{name}: the press lasts {lasts:.3g} s; give the time in s")
+    low, high = PLAUSIBLE_AREA
+    if fault := length_fault([span[1] - span[0]], period, "give the time in s"):
+        raise InputError(f"{name}: the press {fault}")
     if peak > LARGEST_FORCE:
         raise InputError(
             f"{name}: force goes up to {peak:.4g} N, more than a finger can press; give it in N"

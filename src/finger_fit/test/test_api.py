@@ -285,6 +285,21 @@ def test_intervals_of_contrasts_cover_what_conditions_differ_by(study: FitResult
     assert np.mean(separated) > 0.9, "a common error of a third does not hide a ratio of 1.7"
 
 
+def test_contrasts_of_few_presses_are_as_wide_as_their_intervals(double: SimpleNamespace) -> None:
+    """Each condition of three presses errs by Student's t with two degrees of freedom."""
+    trials = [
+        *trials_of(double, 3, condition="dry", subject="S01"),
+        *trials_of(double, 3, condition="moist", subject="S01"),
+    ]
+    result = fit(trials, model=double.HereditaryModel(), **{**QUICK, "bootstrap": 0}).result
+    (contrast,) = (c for c in result.contrasts if c.quantity == "composite_E")
+    known = [fitted.covariance for fitted in result.fits.values()]
+    scales = [k.released.data_deviation("composite_E") for k in known if k is not None]
+    drawn = np.random.default_rng(1).standard_t(2, (2, 200_000)).T @ np.array(scales)
+    width = np.log(contrast.ratio_95[1] / contrast.ratio_95[0])
+    assert width == pytest.approx(2.0 * np.quantile(np.abs(drawn), 0.95), rel=0.15)
+
+
 def test_estimates_on_a_bound_are_not_compared(double: SimpleNamespace, tmp_path: Path) -> None:
     """Both held at the same bound, they would be equal for certain."""
     soft = np.array([80e3, 15e3, 0.2, 1000e3])
@@ -417,6 +432,11 @@ def test_saved_tables_hold_what_was_found(result: Fit, tmp_path: Path) -> None:
         ({"area": 50.0 * np.sin(np.linspace(0.0, 2.0, 200))}, "is 50 m².*give the area in m²"),
         ({"force": 1e3 * np.sin(np.linspace(0.0, 2.0, 200))}, "up to 1000 N.*give it in N"),
         ({"time": np.linspace(0.0, 2000.0, 200)}, "lasts 1.*give the time in s"),
+        (
+            {"time": np.linspace(0.0, 2000.0, 200)},
+            "lasts 1.*or a press of up to 1200 s with two samples of the force or more in each",
+        ),
+        ({"time": np.linspace(0.0, 800.0, 200)}, "lasts .*give the time in s, or"),
         ({"area_time": 500.0 + np.linspace(0.0, 2.0, 200)}, "area_time on the clock of time"),
         ({"time": np.round(np.linspace(0.0, 2.0, 200), 1)}, r"increase \(values 0 and 1 do not"),
         ({"force": np.ones(200) * 1j}, "force holds something else than numbers"),

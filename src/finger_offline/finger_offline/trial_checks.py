@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -44,8 +45,12 @@ from .unloaded import LARGEST_TARE, Unloaded, unloaded_plate
 PLAUSIBLE_AREA = (5e-6, 2e-3)
 """m²; the largest area of a press of a fingertip lies between (the paper's: 60 to 150 mm²)."""
 
-SHORTEST_PRESS, LONGEST_PRESS = 0.02, 300.0
+SHORTEST_PRESS, LONGEST_PRESS = 0.02, 1200.0
 """s; presses that are all shorter or all longer have times of another unit."""
+
+LONG_PRESS, SLOW_FORCE = 300.0, 0.5
+"""s; so have presses that are all longer than the first, with samples further apart than the
+second."""
 
 LARGEST_FORCE = 100.0
 """N; a finger cannot press harder without injury, another unit can."""
@@ -406,3 +411,19 @@ def _stays(pressed: list[tuple[int, int]], areas: np.ndarray, end_ns: int) -> st
         f"{np.count_nonzero(~during)} frames between the presses, where the force is zero: a print "
         "or dirt on the plate; clean it and let the camera learn it anew"
     )
+
+
+def length_fault(lengths: Sequence[float], period: float, remedy: str) -> str:
+    """Say that no presses last so long (s), and what to do; empty where they may.
+
+    period: s between the samples of the force.
+    """
+    shortest, longest = min(lengths), max(lengths)
+    if longest < SHORTEST_PRESS:
+        return f"lasts {longest:.3g} s; {remedy}"
+    if shortest > LONGEST_PRESS or (shortest > LONG_PRESS and period > SLOW_FORCE):
+        return (
+            f"lasts {shortest:.3g} s; {remedy}, or a press of up to {LONGEST_PRESS:g} s with two "
+            "samples of the force or more in each second"
+        )
+    return ""

@@ -14,7 +14,7 @@ from finger_common.axes import axis_of
 from finger_common.errors import InputError, listed
 from finger_common.stamps import seconds
 
-from ..trial_checks import LARGEST_FORCE, LONGEST_PRESS, SHORTEST_PRESS
+from ..trial_checks import LARGEST_FORCE, length_fault
 from ..trial_split import TrialSettings
 from ..unloaded import (
     LARGEST_TARE,
@@ -142,10 +142,9 @@ def presses_in(
         )
     last_row = len(stamps) - 1
     lengths = [seconds(int(stamps[min(b, last_row)] - stamps[a])) for a, b in chosen]
-    if min(lengths) > LONGEST_PRESS or max(lengths) < SHORTEST_PRESS:
-        raise InputError(
-            f"{where}: the first press lasts {lengths[0]:.3g} s; give the right --time-unit"
-        )
+    period = seconds(int(np.median(np.diff(stamps))))
+    if fault := length_fault(lengths, period, "give the right --time-unit"):
+        raise InputError(f"{where}: the first press {fault}")
     return chosen
 
 
