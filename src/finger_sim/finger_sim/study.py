@@ -61,6 +61,8 @@ def simulate_study(
     materials = {name: condition(name).material.to_dict() for name in conditions}
     if trials < 1:
         raise InputError(f"study: {trials} trials per condition, at least 1 is needed")
+    if seed < 0:
+        raise InputError(f"study: seed is {seed}, zero or more is needed")
     folder = Path(output)
     plan = {
         "seed": seed,

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
+from finger_common.errors import InputError
 from finger_common.guided_pulls import HOLD, LOAD
 from finger_model.geometry import Geometry
 from finger_model.pose.correction import PoseCorrection
@@ -20,6 +21,7 @@ from finger_model.pose.pose import Pose
 from finger_sim import pull
 from finger_sim.conditions import condition
 from finger_sim.participant import FrameClock, Participant, _Press
+from finger_sim.study import simulate_study
 from finger_sim.study_trial import plan_study_trial
 from finger_sim.trial_plan import (
     CameraView,
@@ -103,6 +105,12 @@ def test_the_study_pulls_by_the_same_code() -> None:
     assert trial.pull is not None and type(trial.pull) is type(pulled)
     assert press.cue + pull.PAUSE + pull.RISE[0] < pulled.slip
     assert trial.target_force == LOAD
+
+
+def test_a_study_of_a_negative_seed_is_refused_before_its_folder_is_claimed(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="seed is -1, zero or more is needed"):
+        simulate_study(-1, tmp_path / "study", trials=1)
+    assert not (tmp_path / "study").exists()
 
 
 def test_frames_of_a_tilted_finger_show_the_ellipse_where_it_is(tmp_path: Path) -> None:
