@@ -14,6 +14,7 @@ import re
 import shutil
 import signal
 from dataclasses import asdict, replace
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from finger_fit.cli import command
 from finger_fit.engine import DaskEngine
 from finger_fit.options import FitOptions
 from finger_fit.problem import fit_power_law
-from finger_fit.report import find_browser, write_pdf, write_report
+from finger_fit.report import data, find_browser, write_pdf, write_report
 from finger_fit.report_units import MM4, three_digits
 from finger_fit.results import FitResult
 from finger_fit.results.tables import goodness_rows
@@ -262,6 +263,20 @@ def test_interruption_leaves_the_best_so_far(double, stop_at: str, signal: type)
     assert json.dumps(results.fit_dict(result), allow_nan=False)
 
 
+def test_rounds_of_the_nuisances_are_reported(double) -> None:
+    options = FitOptions(**{**QUICK, "nuisances": True}, rounds=3)
+    problem = double.make_problem(noise=1e-6, trials=3, options=options)
+    rounds = []
+
+    def progress(condition: str, stage: str, number: int, most: int, *_: object) -> None:
+        if stage == "nuisances":
+            rounds.append((number, most))
+
+    fit_condition(problem, report=progress)
+    assert 2 < len(rounds) and rounds[-1][0] == rounds[-1][1]
+    assert [number for number, _ in rounds[:-1]] == list(range(len(rounds) - 1))
+
+
 @pytest.mark.parametrize("stop_at", [("dry", "pso"), ("natural", "grid")])
 def test_an_interrupted_fit_leaves_the_parameters_of_a_whole_one(
     double, tmp_path: Path, stop_at: tuple[str, str]
@@ -290,6 +305,13 @@ def test_an_interrupted_fit_leaves_the_parameters_of_a_whole_one(
     )
     results.write(cut, tmp_path)
     assert [path.read_bytes() for path in files] == whole
+    # The page says of which conditions it has checks.
+    quality = data.quality(cut)
+    for name in missing.split(", "):
+        assert f"{name}: interrupted, not checked" in quality
+    if stop_at[0] == "natural":
+        checked = cut.fits["dry"].quality.checks
+        assert all(f"dry: {escape(check.detail)}" in quality for check in checked)
     results.write(cut, tmp_path / "new")
     assert (tmp_path / "new" / "fit.json").is_file()
     assert not list((tmp_path / "new").rglob("*.yaml"))

@@ -195,3 +195,8 @@ def test_deformed_finger_is_that_of_the_model(double) -> None:
         assert finger.geometry == geometry
         areas.append(finger.contact.area)
     assert areas[1] < areas[0]
+    # With the release: at the largest force, not at the last frame.
+    whole = double.make_problem(trials=1, options=FitOptions(window="contact"))
+    fit = SimpleNamespace(problem=whole, parameters=parameters)
+    released = deformed_finger(fit, 0, FullOrder.like(model))
+    assert released.contact.area > 0.95 * areas[1]

@@ -18,7 +18,7 @@ is therefore eliminated, within the prior of the length (`problem.goal`).
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -266,14 +266,20 @@ class NuisanceModel:
 
     # Estimation -----------------------------------------------------------------------------
 
-    def settle(self, starts: np.ndarray, rounds: int = ROUNDS) -> Settled:
-        """Fit from the best of parameters (C, N); the problem keeps drives and nuisances."""
+    def settle(
+        self,
+        starts: np.ndarray,
+        rounds: int = ROUNDS,
+        done: Callable[[int, int], None] = lambda number, most: None,
+    ) -> Settled:
+        """Fit from the best of parameters (C, N); the problem keeps drives and nuisances. done:
+        learns of each round but the last, and of how many there are at most."""
         problem = self.problem
         free = all_free(problem)
         space = problem.space
         starts = np.atleast_2d(starts)
         at = starts[0]
-        for _ in range(rounds):
+        for number in range(1, rounds + 1):
             self.apply(at)
             found = [refine(problem, free, start) for start in (at, *starts[1:])]
             fit = min(found, key=lambda f: f.cost)
@@ -286,6 +292,7 @@ class NuisanceModel:
             growth = abs(np.log(self.scatter / scatter)) if scatter > 0 else 0.0
             if max(change, 0.1 * move, 0.1 * growth) < SETTLED:
                 break
+            done(number, rounds)
         self._answered = None
         nuisances = self.apply(at)
         return Settled(refine(problem, free, at), nuisances, self.scatter, self.noise)

@@ -18,10 +18,12 @@ from .markup import LONG_TABLE, listing, table
 def quality(result: FitResult) -> str:
     """What the checks found in the data: failures and notes in words, the rest in a table."""
     checked = {n: f.quality for n, f in result.fits.items() if f.quality is not None}
-    if not checked:
-        return ""
+    conditions = {*result.fits, *result.missing}
     words = {"fail": "<b class=bad>fails</b>", "note": "note", "ok": "<span class=final>ok</span>"}
-    rows = []
+    rows = [
+        ["fit", words["note"], f"{escape(name)}: interrupted, not checked"]
+        for name in result.unfinished
+    ]
     for name in dict.fromkeys(c.name for q in checked.values() for c in q.checks):
         # Not all conditions have all checks, such as that of an indentation.
         of_name = {n: c for n, q in checked.items() for c in q.checks if c.name == name}
@@ -30,13 +32,13 @@ def quality(result: FitResult) -> str:
         for condition, check in of_name.items():
             if check.status == worst or len(of_name) <= LONG_TABLE // 3:
                 details.setdefault(check.detail, []).append(condition)
-        several = len(details) > 1 or len(of_name) > len(next(iter(details.values())))
+        several = len(details) > 1 or len(conditions) > len(next(iter(details.values())))
         text = "<br>".join(
             (f"{escape(', '.join(names))}: " if several else "") + escape(detail)
             for detail, names in list(details.items())[:LONG_TABLE]
         )
         rows.append([escape(name), words[worst], text])
-    return table(["check", "", "found"], rows, (1, 2))
+    return table(["check", "", "found"], rows, (1, 2)) if rows else ""
 
 
 def exclusions(result: FitResult) -> str:
@@ -74,7 +76,7 @@ def trials(result: FitResult) -> str:
         "tare (N)", "gain",
     ]  # fmt: skip
     return table(header, rows, (1,)) + (
-        "<p class=lead>Loading: time from first touch to the last frame that counts. <i>J</i>: the "
+        "<p class=lead>Loading: time from first touch to the largest force. <i>J</i>: the "
         "trial's part of the cost. Lag: of the areas behind the fitted model. Tare: force before "
         "the contact. Gain: measured area over the model's.</p>"
     )

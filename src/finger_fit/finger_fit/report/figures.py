@@ -296,7 +296,7 @@ def example_figure(report: FitResult) -> Figure:
     if report.deformed is None:
         side.set_axis_off()
     else:
-        _deformed(side, report.deformed, float(trial.force[-1]))
+        _deformed(side, report.deformed, float(trial.force.max()))
     return figure
 
 
@@ -632,7 +632,7 @@ def captions_of(report: FitResult) -> dict[str, str]:
     found = dict(CAPTIONS)
     if report.deformed is not None:
         found["example_trial"] += (
-            " (b) The full-order finger at its last frame, drawn from the deformed mesh; the "
+            " (b) The full-order finger at the largest force, drawn from the deformed mesh; the "
             "dashed line is the pad at rest."
         )
     if any(fit.profiles for fit in report.fits.values()):

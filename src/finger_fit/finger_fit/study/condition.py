@@ -197,10 +197,13 @@ class _Stages:
         self, fit: ConditionFit, model: NuisanceModel, starts: np.ndarray, rounds: int
     ) -> Settled:
         """Fit from parameters (C, N) with the nuisances eliminated."""
-        with self.progress.step("nuisances"):
+        done = self.progress.count("nuisances")
+        with self.progress.timed("nuisances"):
+            done(0, rounds)
             with self.whole():
-                settled = model.settle(starts, rounds)
+                settled = model.settle(starts, rounds, done)
             self.take(fit, settled.fit)
+        done(rounds, rounds)
         return settled
 
     def take(self, fit: ConditionFit, found: LocalFit) -> None:

@@ -1,7 +1,7 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""The full-order finger of the report's example trial, deformed at its last frame."""
+"""The full-order finger of the report's example trial, deformed at the largest force."""
 
 from __future__ import annotations
 
@@ -22,8 +22,9 @@ def deformed_finger(fit: ConditionFit, trial: int, full_order: FullOrder) -> Def
     time, forces, _ = drive.to_model(drive.frames)
     model = FullOrderModel(full_order.geometry)
     stepper = model.start(full_order.material.with_vector(fit.parameters), float(time[0]))
-    number = max(int(np.ceil((time[-1] - time[0]) / STEP)), 2)
-    for instant in np.linspace(time[0], time[-1], number + 1)[1:]:
+    end = fit.problem.trials[trial].loading
+    number = max(int(np.ceil((end - time[0]) / STEP)), 2)
+    for instant in np.linspace(time[0], end, number + 1)[1:]:
         force = float(np.interp(instant, time, forces))
         point = stepper.step(float(instant), force)
     fields = stepper.fields()
