@@ -289,7 +289,7 @@ def test_contrasts_of_few_presses_are_as_wide_as_their_intervals(double: SimpleN
     """Each condition of three presses errs by Student's t with two degrees of freedom."""
     trials = [
         *trials_of(double, 3, condition="dry", subject="S01"),
-        *trials_of(double, 3, condition="moist", subject="S01"),
+        *trials_of(double, 3, condition="moist", subject="S01", truth=1.1 * double.TRUTH),
     ]
     result = fit(trials, model=double.HereditaryModel(), **{**QUICK, "bootstrap": 0}).result
     (contrast,) = (c for c in result.contrasts if c.quantity == "composite_E")
