@@ -10,13 +10,10 @@ The estimate is corrected by `contact_area`; its parameters follow `moisture`.
 from __future__ import annotations
 
 import gc
-import json
-import math
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -31,7 +28,6 @@ from std_srvs.srv import Trigger
 from finger_common.cli import one_line
 from finger_common.diagnostics import WARN, Health
 from finger_common.errors import FingerError
-from finger_common.flags import StateFlag
 from finger_common.moisture import MOISTURE_TEXT, is_moisture
 from finger_common.node import (
     EVENTS_QOS,
@@ -43,7 +39,6 @@ from finger_common.node import (
     main_of,
     message_of,
 )
-from finger_common.settings import Settings, setting
 from finger_common.stamps import seconds
 from finger_common.subject_code import known_finger
 from finger_msgs.msg import (
@@ -62,10 +57,7 @@ from .calibration import Calibration, CalibrationPress
 from .estimator import ContactEstimate, ContactEstimator, EstimatorEvent, EstimatorSettings
 from .estimator.estimator import FUTURE
 from .estimator.events import ANOTHER_SUBJECT
-from .estimator.parameter_selection import check_sets
-from .finger import load_reduced, model_for
-from .latency import LatencyHistogram
-from .lateness import Lateness
+from .finger_files import FingerFiles
 from .messages import (
     area_of,
     event_fields,
@@ -79,86 +71,21 @@ from .messages import (
     torque_of,
     wrench_of,
 )
+from .model_run import Run, Vector
+from .model_settings import ModelSettings
 from .node.calibration import LiveCalibration
+from .node.model_diagnostics import ModelDiagnostics
 from .parameter_sets import ParameterSets
-from .reduced.model import POPULATION, ReducedModel
+from .reduced.model import ReducedModel
 from .shape.estimate import MeasuredOutline
 from .shape.settings import PoseSettings
 from .slip import SlipSettings
 from .slip_and_shape import SlipAndShape, prepare
 from .subject_calibration import fit_subject
-from .subjects import find_subject
 from .warm_up import is_compiled, warm_up, warm_up_all
-from .wrench_watch import WrenchWatch
-
-
-@dataclass(frozen=True)
-class ModelSettings(Settings):
-    """What the node loads and listens to."""
-
-    wrench_topic: str = setting("wrench", "Topic of the tared force.")
-    parameter_file: str = setting(
-        "",
-        "parameters.yaml of a fit; empty for the shipped sets of the paper's three conditions.",
-        runtime=True,
-    )
-    subjects_folder: str = setting(
-        "",
-        "Folder of the subjects' own parameters, SUBJECT.FINGER.yaml or SUBJECT.yaml, as a "
-        "calibration writes them. Subject and finger on `trial` choose; a finger without file has "
-        "those of parameter_file. Empty: none.",
-    )
-    geometry_file: str = setting(
-        "",
-        "geometry.yaml of the finger; empty for the default geometry. A parameter_file of other "
-        "lengths is refused; a subject's own file may hold others.",
-        advice="A finger outside the population box needs its own reduced model: finger-model "
-        "reduce --geometry.",
-    )
-    reduced_model_file: str = setting(
-        "",
-        "Reduced model made by 'finger-model reduce'; empty for the shipped one of the finger. "
-        f"'{POPULATION}': the shipped one of all fingers, which reaches about 10 N for the default "
-        "finger too, whose own ends at 3 N; a sample takes twice as long.",
-    )
-    contact_shape: bool = setting(
-        False,
-        "Estimate ellipse and tilt of the contact, and publish them as contact_shape.",
-        runtime=True,
-        advice="Costs some percent of a core.",
-    )
-    force_stale_after: float = setting(
-        0.1,
-        "Time without a wrench sample after which diagnostics report an error.",
-        unit="s",
-        minimum=0.001,
-        maximum=60.0,
-        runtime=True,
-    )
-
-
-Vector = tuple[float, float, float]
 
 SAMPLES_PER_CALLBACK = 64
 """Waiting samples processed in one callback, before other callbacks have their turn."""
-
-_WARNINGS = {
-    StateFlag.MOISTURE_MISSING: "no moisture reading yet, default parameters are in use",
-    StateFlag.MOISTURE_STALE: "the moisture reading is older than moisture_stale_after",
-    StateFlag.MOISTURE_OUT_OF_RANGE: "moisture {moisture:.3g} is outside the model's range: "
-    "estimate less certain",
-    StateFlag.PARAMETERS_OUT_OF_RANGE: "the material parameters lie outside the range of the "
-    "reduced model",
-    StateFlag.AREA_STALE: "no area was fused for longer than area_stale_after while in contact",
-    StateFlag.FORCE_INVALID: "the force is not a finite number",
-    StateFlag.FORCE_OFFSET: "force without a finger is suspected: tare the force sensor with "
-    "nothing on the plate",
-    StateFlag.POSE_OUT_OF_RANGE: "pad_aspect, the plate's tilt or the finger's proportions are "
-    "beyond what the correction of the area was learned for",
-    StateFlag.FORCE_OUT_OF_RANGE: "the force is beyond what the reduced model was built for",
-}
-
-_NO_AREA = "in contact for longer than area_stale_after, and no area was fused in this contact"
 
 
 class _Texted:
@@ -183,41 +110,6 @@ _one_aside = threading.Lock()
 and with real-time priority their threads would keep all cores from the samples."""
 
 
-@dataclass
-class _Run:
-    """The estimator with what follows it, and what the node has seen since it was activated."""
-
-    slip_and_shape: SlipAndShape
-    reason: str = "start"
-    first_stamp: int | None = None
-    """Of the first sample, before which the start is not told; None until it comes."""
-    before: tuple[Vector, Vector] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    """Force and torque of the newest sample, which may wait for the next one."""
-    sampled_at: float = -math.inf
-    pause: tuple[int, int] | None = None
-    """Stamps of the first and the last area that came while no force did."""
-    jumped: bool = False
-    last: ContactEstimate | None = None
-    flags: int = 0
-    watch: WrenchWatch = field(default_factory=WrenchWatch)
-    area_received: bool = False
-    plate: str = ""
-    """Frame of the newest area."""
-    latency: LatencyHistogram = field(default_factory=LatencyHistogram)
-    age: LatencyHistogram = field(default_factory=LatencyHistogram)
-
-    @property
-    def estimator(self) -> ContactEstimator:
-        """The estimator in use."""
-        return self.slip_and_shape.estimator
-
-    def begin_anew(self, estimator: ContactEstimator, reason: str) -> None:
-        """Go on with another estimator from the next sample on."""
-        self.slip_and_shape.estimator = estimator
-        self.slip_and_shape.keep_up()
-        self.reason, self.first_stamp, self.pause = reason, None, None
-
-
 class ModelNode(ManagedNode):
     """Node around a ContactEstimator.
 
@@ -234,18 +126,13 @@ class ModelNode(ManagedNode):
         # Apart from the stream, so that a warning of an input does not hide a silent sensor.
         self.inputs = Health("inputs")
         self.healths += [self.health, self.inputs]
-        self._model: ReducedModel | None = None
+        self._files: FingerFiles | None = None
         self._sets: ParameterSets | None = None
-        self._run: _Run | None = None
+        self._run: Run | None = None
         self._reading: tuple[int, float] | None = None
         self._readings: deque[tuple[int, float]] = deque(maxlen=64)
         self._sequence = 0
-        self._probed = False
-        """Whether `moisture` has, or had, a publisher."""
-        self._late = {
-            "late_areas": Lateness("contact areas"),
-            "late_moistures": Lateness("moisture readings"),
-        }
+        self._model_diagnostics = ModelDiagnostics(self, self.health, self.inputs)
         self._lock = threading.RLock()
         self._pack_state = _Texted(
             lambda frame, name: ContactState(header=Header(frame_id=frame), parameter_set=name)
@@ -263,15 +150,20 @@ class ModelNode(ManagedNode):
     def configure(self) -> None:
         """Load model and parameters, compile, connect."""
         values = self.values
-        self._model = load_reduced(values["reduced_model_file"], values["geometry_file"])
-        self._sets = self._load_named_sets(values["parameter_file"])
+        self._files = FingerFiles(
+            values["reduced_model_file"],
+            values["geometry_file"],
+            values["subjects_folder"],
+            self.get_logger().warning,
+        )
+        self._sets = self._files.named_sets(values["parameter_file"])
         if not is_compiled():
             self.get_logger().info(
                 "compiling the model for the first time, a minute or two; the node answers after it"
             )
         warm_up_all()
         warm_up(self._new_estimator(self._sets))
-        prepare(self._model_of(self._sets), self._sets)
+        prepare(self._files.model_of(self._sets), self._sets)
         self._run = self._new_run(self._sets)
         self._sequence = 0
         self.health.stale_after = values["force_stale_after"]
@@ -321,7 +213,6 @@ class ModelNode(ManagedNode):
 
     def activate(self) -> None:
         """Begin with a finger at rest."""
-        assert self._model is not None
         self.health.numbered(None)
         self._follow_wrench()
         self._calibration.forget()
@@ -350,13 +241,13 @@ class ModelNode(ManagedNode):
 
     def parameters_changed(self, changes: dict[str, Any]) -> None:
         """New settings or parameter sets, from the next sample on."""
-        run = self._run
-        assert run is not None
+        run, files = self._run, self._files
+        assert run is not None and files is not None
         merged = {**self.values, **changes}
         settings, slip = EstimatorSettings.select(merged), SlipSettings.select(merged)
         pose = PoseSettings.select(merged)
         named = "parameter_file" in changes
-        sets = self._load_named_sets(merged["parameter_file"]) if named else None
+        sets = files.named_sets(merged["parameter_file"]) if named else None
         # Nothing is refused from here on; what is made anew has all of the changes.
         self.values = merged
         self.health.stale_after = merged["force_stale_after"]
@@ -373,61 +264,29 @@ class ModelNode(ManagedNode):
                 reason = f"parameter file {changes['parameter_file'] or 'unset, shipped sets'}"
                 self._use_sets(self._own_sets(), reason, forget=False)
 
-    def _load_named_sets(self, path: str) -> ParameterSets:
-        """Those of `parameter_file`; raises InputError too where another file names a finger of
-        other lengths. A subject's file may bring its own."""
-        assert self._model is not None
-        sets = self._load_sets(path)
-        files = (self.values[name] for name in ("reduced_model_file", "geometry_file"))
-        model_for(sets, self._model, *files)
-        return sets
-
-    def _load_sets(self, path: str) -> ParameterSets:
-        sets = ParameterSets.load(path) if path else ParameterSets.default()
-        model = self._model_of(sets)
-        check_sets(sets, model, path or "the shipped sets")
-        # A fit takes the default finger's own model.
-        known = "", model.hash, load_reduced(geometry_file=model.geometry).hash
-        if sets.reduced_model_hash not in known:
-            self.get_logger().warning(
-                f"{path or 'parameter sets'}: fitted with another reduced model of this geometry"
-            )
-        return sets
-
-    def _model_of(self, sets: ParameterSets) -> ReducedModel:
-        """The model of the finger whose lengths the sets hold, or else of `geometry_file`."""
-        assert self._model is not None
-        model_file = self.values["reduced_model_file"] if self._model.serves_population else ""
-        return model_for(sets, self._model, model_file)
-
-    def _origin(self, estimator: ContactEstimator) -> str:
-        """The file that the lengths of the finger in use come from, or what is in its place."""
-        assert self._model is not None
-        if estimator.model.geometry_hash != self._model.geometry_hash:
-            return estimator.parameter_sets.where or f"the calibration of {self._subject}"
-        model_file = "" if self._model.serves_population else self.values["reduced_model_file"]
-        return self.values["geometry_file"] or model_file or "the default finger"
-
     def _tell_model(self, estimator: ContactEstimator) -> None:
         """Log the model in use and how exact it is."""
+        assert self._files is not None
         model, parameters = estimator.model, estimator.parameters
         error = model.error_of(parameters)
         self.get_logger().info(
             f"reduced model {model.hash[:8]} of law '{model.law.name}', lengths of "
-            f"{self._origin(estimator)}, RMS error {100 * model.rms_error_of(parameters):.2f} %"
+            f"{self._files.origin(estimator, self._subject)}, "
+            f"RMS error {100 * model.rms_error_of(parameters):.2f} %"
             + (f" in {error['pairs']} full-order histories" if "pairs" in error else "")
             + f"; parameter sets {estimator.parameter_sets.hash[:8]}"
         )
 
     def _new_estimator(self, sets: ParameterSets) -> ContactEstimator:
-        return ContactEstimator(self._model_of(sets), sets, self.settings(EstimatorSettings))
+        assert self._files is not None
+        return ContactEstimator(self._files.model_of(sets), sets, self.settings(EstimatorSettings))
 
-    def _new_run(self, sets: ParameterSets) -> _Run:
+    def _new_run(self, sets: ParameterSets) -> Run:
         pose = self.settings(PoseSettings) if self.values["contact_shape"] else None
-        return _Run(SlipAndShape(self._new_estimator(sets), self.settings(SlipSettings), pose))
+        return Run(SlipAndShape(self._new_estimator(sets), self.settings(SlipSettings), pose))
 
     @property
-    def _running(self) -> _Run | None:
+    def _running(self) -> Run | None:
         """The run, None while the node is not active."""
         return self._run if self.active else None
 
@@ -546,7 +405,7 @@ class ModelNode(ManagedNode):
             used = run.estimator.add_area(*area, live=True)
             silent = self._force_is_silent(run)
             if not silent:
-                self._late["late_areas"].add(not used, self._behind(run, area[0]))
+                self._model_diagnostics.late["late_areas"].add(not used, self._behind(run, area[0]))
             if used:
                 outline = outline_of(message)
                 self._check_outline(outline)
@@ -565,26 +424,26 @@ class ModelNode(ManagedNode):
         wrong = outline.implausible
         sentence = f"contact_area has an outline that is no finger's ({wrong}); left out: give "
         sentence += "centroid, ellipse and their deviations in metres of the plate and radians"
-        self._warn_while(bool(wrong), "bad_outline", sentence)
+        self._model_diagnostics.warn_while(bool(wrong), "bad_outline", sentence)
 
     @staticmethod
-    def _silence(run: _Run) -> float:
+    def _silence(run: Run) -> float:
         """s since the newest sample."""
         return time.monotonic() - run.sampled_at
 
-    def _force_is_silent(self, run: _Run) -> bool:
+    def _force_is_silent(self, run: Run) -> bool:
         """Whether no sample came for so long that a stamp ahead of the newest tells nothing."""
         return self._silence(run) > 0.5 * FUTURE
 
     @staticmethod
-    def _behind(run: _Run, stamp: int) -> float:
+    def _behind(run: Run, stamp: int) -> float:
         """s by which a stamp is behind the newest force's."""
         newest = run.estimator.last_stamp
         return 0.0 if newest is None else seconds(newest - stamp)
 
     def _on_moisture(self, message: Moisture) -> None:
         with self._lock:
-            self._probed = True
+            self._model_diagnostics.probed = True
             reading = moisture_of(message)
             if reading in self._readings:
                 return  # it came on both subscriptions
@@ -606,7 +465,9 @@ class ModelNode(ManagedNode):
                 # Kept for late joiners, but it came after the first force.
                 self._begin_anew(run, estimator.model, estimator.parameter_sets)
             elif not estimator.add_moisture(*reading, live=not self._force_is_silent(run)):
-                self._late["late_moistures"].add(True, self._behind(run, reading[0]))
+                self._model_diagnostics.late["late_moistures"].add(
+                    True, self._behind(run, reading[0])
+                )
                 self._publish_event(estimator.note_late(moistures=[reading[0]]))
             elif self._preparation is None or not self._preparation.is_alive():
                 # Within `fusion_delay`, before the sample at which it enters.
@@ -636,26 +497,20 @@ class ModelNode(ManagedNode):
 
     def _own_sets(self) -> ParameterSets:
         """Those of the subject's finger, or else those of `parameter_file`."""
-        assert self._sets is not None
-        folder = self.values["subjects_folder"]
-        if not folder or not self._subject:
-            return self._sets
+        assert self._files is not None and self._sets is not None
         try:
-            path, told = find_subject(folder, self._subject, self._finger)
-            if told:
-                self.get_logger().warning(told)
-            sets = self._load_sets(str(path)) if path else self._sets
+            sets = self._files.of_subject(self._subject, self._finger)
         except FingerError as error:
             self.log_fault(self.inputs, "subject_file", f"{one_line(error)}; left out", WARN)
             return self._sets
         self.inputs.recovered("subject_file")
-        return sets
+        return sets or self._sets
 
     def _use_sets(self, sets: ParameterSets, reason: str, forget: bool) -> None:
         """Parameters from the next sample on; the caller holds the lock."""
-        run = self._run
-        assert run is not None
-        model = self._model_of(sets)
+        run, files = self._run, self._files
+        assert run is not None and files is not None
+        model = files.model_of(sets)
         sets = sets.of_finger(model.geometry)
         if run.first_stamp is None or model.hash != run.estimator.model.hash:
             # A finger of other lengths begins anew.
@@ -682,7 +537,7 @@ class ModelNode(ManagedNode):
         return thread
 
     def _begin_anew(
-        self, run: _Run, model: ReducedModel, sets: ParameterSets, reason: str = "start"
+        self, run: Run, model: ReducedModel, sets: ParameterSets, reason: str = "start"
     ) -> None:
         """A finger that was not seen before, with the reading there is, from the next sample on,
         whose event names sets and model; the caller holds the lock."""
@@ -701,10 +556,11 @@ class ModelNode(ManagedNode):
         moisture: float | None,
         calipers: GeometryEstimate | None,
     ) -> Calibration:
-        run = self._run
+        run, files = self._run, self._files
+        assert files is not None
         pose = None if run is None else run.estimator.pose_correction
         settings = self.settings(EstimatorSettings)
-        model = self._model_of(sets)
+        model = files.model_of(sets)
         return fit_subject(model, sets, presses, moisture, settings, calipers, pose)
 
     def _use_calibration(self, subject: str, finger: str, sets: ParameterSets) -> None:
@@ -772,76 +628,11 @@ class ModelNode(ManagedNode):
         """Warnings of the estimates' flags; counters and latency as notes."""
         run = self._running
         if run is not None:
-            # Also what came and went since the diagnostics before.
-            flags, run.flags = run.flags, 0
-            self._probed = self._probed or self.count_publishers("moisture") > 0
-            if not self._probed:  # a rig without a probe
-                flags &= ~StateFlag.MOISTURE_MISSING
-            for flag, sentence in _WARNINGS.items():
-                key = flag.name.lower()  # type: ignore[union-attr]
-                moisture = math.nan if run.last is None else run.last.moisture
-                self._warn_while(bool(flags & flag), key, sentence.format(moisture=moisture))
-            self._warn_while(self._area_is_overdue(run), "area_missing", _NO_AREA)
-            doubt = run.estimator.parameter_sets.doubt()
-            self._warn_while(bool(doubt), "parameter_status", doubt)
-            # Beside a silence of the states, which wrong stamps explain.
-            for key, sentence in run.watch.look(self.values["normal_axis"]).items():
-                self._warn_while(bool(sentence), key, sentence, self.health)
-            for key, late in self._late.items():
-                sentence = late.look()
-                self._warn_while(bool(sentence), key, sentence)
-            found = run.estimator.mismatch()
-            self._warn_while(
-                bool(flags & StateFlag.MODEL_MISMATCH),
-                "model_mismatch",
-                f"measured areas are not those of this finger's model: it is {found.sentence()}",
-            )
-            model = f"{run.estimator.model.hash[:8]}, lengths of {self._origin(run.estimator)}"
-            self.health.notes["model"] = model
-            self.health.notes["finger"] = found.sentence()
-            self.health.notes["finger_deviation_sd"] = f"{found.deviation:.2f}"
-            self.health.notes["finger_probability"] = f"{found.probability:.3g}"
-            self.health.notes["surprise"] = f"{found.surprise:.2f}"
-            for name, number in run.estimator.statistics().items():
-                self.health.notes[name] = str(number)
-            self.health.notes["parameters"] = json.dumps(
-                [float(f"{v:.6g}") for v in run.estimator.parameters]
-            )
-            simulated = self.get_parameter("use_sim_time").value
-            for name, delays in (("latency", run.latency), ("age", run.age)):
-                for percent in (50, 99):
-                    # Stamps of a simulated time have no age by the host's clock.
-                    known = name == "latency" or not simulated
-                    text = delays.text(percent) if known else "unknown"
-                    self.health.notes[f"{name}_p{percent}_ms"] = text
+            assert self._files is not None
+            self._model_diagnostics.tell(run, self._files.origin(run.estimator, self._subject))
             # A force node of this process may have come or gone.
             self._follow_wrench()
         super().publish_diagnostics()
-
-    def _warn_while(
-        self, condition: bool, key: str, sentence: str, health: Health | None = None
-    ) -> None:
-        """Report a fault, of the inputs by default, as long as the condition holds."""
-        health = health or self.inputs
-        if condition:
-            self.log_fault(health, key, sentence, WARN)
-        else:
-            health.recovered(key)
-
-    def _area_is_overdue(self, run: _Run) -> bool:
-        """Whether the contact has lasted longer than `area_stale_after` without a fused area.
-
-        Never in a rig without a camera: areas must be asked for (`fuse_area`), and one must have
-        come or `contact_area` must have a publisher.
-        """
-        last = run.last
-        if last is None or not last.flags & StateFlag.AREA_MISSING:
-            return False
-        settings = self.settings(EstimatorSettings)
-        duration = seconds(last.stamp_ns - last.onset_ns)
-        if not settings.fuse_area or duration <= settings.area_stale_after:
-            return False
-        return run.area_received or self.count_publishers("contact_area") > 0
 
 
 def _sample_of(
