@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import inspect
 from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any
@@ -28,16 +27,7 @@ LIGHT: dict[str, dict[str, Any]] = {
 
 def node_class(entry: nodes.NodeEntry) -> type[ManagedNode]:
     """The class of an entry's node."""
-    module = importlib.import_module(entry.module)
-    found = [
-        member
-        for member in vars(module).values()
-        if inspect.isclass(member)
-        and issubclass(member, ManagedNode)
-        and member.__module__ == module.__name__
-    ]
-    assert len(found) == 1, entry.module
-    return found[0]
+    return importlib.import_module(entry.module).main.node_class  # type: ignore[no-any-return]
 
 
 class Hand:
