@@ -17,6 +17,7 @@ from finger_common.errors import InputError
 from finger_common.flags import SlipFlag, StateFlag
 from finger_model.cli import _main
 from finger_model.estimator import ContactEstimator, EstimateBlock, EstimatorSettings
+from finger_model.finger import simulate_reduced
 from finger_model.geometry import Geometry
 from finger_model.material import Material
 from finger_model.paper import NATURAL
@@ -1121,3 +1122,25 @@ def test_the_tilt_of_a_sensor_is_kept_where_the_plate_changes():
     assert one["friction"] == pytest.approx(0.3, rel=0.05)
     estimator.reset()
     assert tilted_pulls(estimator, 4.0, 0.3, [math.pi])[-1]["friction"] < 0.27
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.002])
+def test_an_oblique_press_that_is_put_down_again_sticks(noise):
+    """As in three dimensions, where all of it sticks at Q/P = 0.3 and friction 0.5."""
+    normal = ramp((0.0, 0.05), (2.0, 1.0), (4.0, 0.1))
+    forces = noise * np.random.default_rng(1).standard_normal((2, len(normal)))
+    forces += normal, 0.3 * normal
+    rows = run(SlipEstimator(SlipSettings(friction_prior=0.5, **KNOWN)), *forces)
+    assert rows["stick_ratio"][normal > 0.09].min() > 0.9
+
+
+def test_what_is_pressed_obliquely_moves_as_in_three_dimensions():
+    """Q/P = 0.3, up to 1 N and down to 0.1 N; the displacements (mm) are of SolidModel."""
+    material = Material(E0=120e3, E1=120e3, tau1=0.002, E2=1.8e6, friction=0.5)
+    force = np.append(np.arange(1.0, 9.0) / 8.0, 1.0 - 0.9 * np.arange(1.0, 9.0) / 8.0)
+    contact = simulate_reduced(material, 0.05 * np.arange(1.0, 17.0), force, Geometry())
+    found = pull_history(contact, 0.3 * force, Geometry(), material)
+    assert found.stick_ratio.min() == 1.0
+    up, down = found.tangential_displacement[[1, 3, 5, 7]], found.tangential_displacement[9::2]
+    np.testing.assert_allclose(up * 1e3, [0.1367, 0.2464, 0.3500, 0.4500], rtol=0.09)
+    np.testing.assert_allclose(down * 1e3, [0.3622, 0.2701, 0.1732, 0.0673], rtol=0.16)

@@ -9,7 +9,8 @@ behind them gives way at once, by the stiffness of `shear`, and creeps.
 What P brings when it grows sticks at first: where Q grows with it by less than μ, nothing slips
 (R. D. Mindlin and H. Deresiewicz, J. Appl. Mech. 20:327–344, 1953). That part of Q, c, goes to all
 elements in proportion to their limits, and uses up as much of each limit. So a first pull beyond it
-follows the backbone at |Q − c|/(μP − |c|).
+follows the backbone at |Q − c|/(μP − |c|). Where P falls, c falls in the same proportion, but not
+below what Q still has of it: an oblique press that is put down again sticks, too.
 """
 
 from __future__ import annotations
@@ -86,8 +87,21 @@ def begin(elements, normal, q0, q1):
 
 
 @njit(cache=True)
+def _bring(elements, d0, d1):
+    """Add d (N) to c."""
+    for i in range(COUNT):
+        elements.force[i, 0] += d0 * LIMITS[i]
+        elements.force[i, 1] += d1 * LIMITS[i]
+    elements.with_load[0] += d0
+    elements.with_load[1] += d1
+    elements.moved[0] += d0
+    elements.moved[1] += d1
+
+
+@njit(cache=True)
 def press(elements, friction, normal, margin, q0, q1):
-    """Give the elements what comes of Q with a growth of P to `normal` (N); `pull` gives the rest.
+    """Give the elements what comes of Q with a growth of P to `normal` (N), and take back what goes
+    with a fall; `pull` gives the rest.
 
     margin (N): by which P must have fallen before it is said to grow again. Returns whether it has
     fallen so far under a c: then |Q − c|/(μP − |c|) tells nothing, the elements alone do.
@@ -98,13 +112,15 @@ def press(elements, friction, normal, margin, q0, q1):
     size = math.hypot(d0, d1)
     if room > 0.0 and size > 0.0:
         part = min(1.0, room / size)
-        for i in range(COUNT):
-            elements.force[i, 0] += part * d0 * LIMITS[i]
-            elements.force[i, 1] += part * d1 * LIMITS[i]
-        elements.with_load[0] += part * d0
-        elements.with_load[1] += part * d1
-    carried = math.hypot(elements.with_load[0], elements.with_load[1])
-    fallen = carried > LITTLE * friction * normal and elements.reached > normal + margin
+        _bring(elements, part * d0, part * d1)
+    c0, c1 = elements.with_load[0], elements.with_load[1]
+    carried = math.hypot(c0, c1)
+    falls = carried > 0.0 and elements.reached > normal + margin
+    fallen = falls and carried > LITTLE * friction * normal
+    if falls:
+        left = max((normal + margin) / elements.reached, (q0 * c0 + q1 * c1) / carried**2)
+        gone = max(0.0, 1.0 - left)
+        _bring(elements, -gone * c0, -gone * c1)
     elements.reached = min(max(elements.reached, normal), normal + margin)
     return fallen
 
