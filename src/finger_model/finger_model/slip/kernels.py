@@ -109,7 +109,7 @@ def _begin_contact(config, state, stamp, normal, q0, q1):
     forces.begin(state.forces, config.noise, stamp, normal, q0, q1)
     forecasts.begin(state.forecasts)
     elements.begin(state.elements, normal, q0, q1)
-    state.plateau.least = math.inf
+    plateau.begin_contact(state.plateau)
     pull = state.pull
     pull.largest = pull.frames_ratio = 0.0
     pull.turned = pull.counted = False
@@ -172,12 +172,15 @@ def _remember(memory, stamp, beyond, with_load):
 
 @njit(cache=True)
 def _ahead(tracked, horizon, ratio, stands):
-    """Largest r from now to the horizon (s), and the spread of its logarithm."""
+    """Largest r from now to the horizon (s), and the spread of its logarithm. stands: r does."""
     now = tracked.fast
-    p = max(now.value[0] + horizon * now.rate[0], 1e-3)
-    q0 = now.value[1] + horizon * now.rate[1]
-    q1 = now.value[2] + horizon * now.rate[2]
-    ahead = ratio if stands else max(math.hypot(q0, q1) / p, ratio)
+    # A pull that is held has little margin, perhaps: noise of the rates must not use it up.
+    rate = tracked.slow.rate if stands else now.rate
+    p = max(now.value[0] + horizon * rate[0], 1e-3)
+    q = math.hypot(now.value[1] + horizon * rate[1], now.value[2] + horizon * rate[2])
+    if stands:
+        q = min(q, forces.tangential(now))
+    ahead = max(q / p, ratio)
     error = math.hypot(tracked.filtered_noise, tracked.zero_error)
     return ahead, math.hypot(friction.EDGE, error / max(ahead * p, 1e-3))
 

@@ -4,7 +4,7 @@
 """A plateau: r = |Q|/P stands still, since the skin slips at r = μ or a pull is held below it.
 
 `forecasts` tell that it stands still, `windows` of its samples how likely slip is. Where it is
-looked for slip often enough, chance shows it: each window costs.
+looked for slip often enough, chance shows it: each window costs, also those of the plateaus before.
 """
 
 from __future__ import annotations
@@ -37,6 +37,8 @@ SPREAD = 0.03
 """Of ln r in slip, where Q's zero is exact."""
 SLIDE = 100
 """Forecasts of a slide after which its newest ones tell its ratio."""
+LOOK_MEMORY = 30.0
+"""s between plateaus in which windows of those before cost e times less."""
 EARLIER = 0.5
 """Share of what the windows before tell that is kept."""
 
@@ -52,7 +54,7 @@ PLATEAU = np.dtype(
         ("past_odds", "f8", (KEPT,)),  # the same, at the newest forecasts
         ("window", "f8", (windows.LENGTH, 2)),  # P, Q, newest samples, one with each forecast
         ("seen", "i8"),  # samples so far
-        ("looks", "i8"),  # times that it was looked for slip
+        ("looks", "f8"),  # times in this contact that it was looked for slip, of those that cost
         ("window_odds", "f8"),  # log, of slip against holding, in the newest window
         ("earlier_odds", "f8"),  # of slip, of windows before
         ("letting_go", "?"),  # at the newest forecast
@@ -61,6 +63,13 @@ PLATEAU = np.dtype(
     ],
     align=True,
 )
+
+
+@njit(cache=True)
+def begin_contact(plateau):
+    """Nothing was seen of this contact."""
+    plateau.least = math.inf
+    plateau.looks = 0.0
 
 
 @njit(cache=True)
@@ -98,7 +107,7 @@ def _begin(plateau, stamp):
     plateau.sum[:] = 0.0
     plateau.odds = plateau.window_odds = plateau.earlier_odds = 0.0
     plateau.past_odds[:] = 0.0
-    plateau.looks = plateau.seen = 0
+    plateau.seen = 0
 
 
 @njit(cache=True)
@@ -133,7 +142,7 @@ def _look_for_slip(plateau, forces, coupled, dt, log_ratio, judged):
         if odds > 0.0:
             log_ratio = slipped
         plateau.window_odds = plateau.earlier_odds + odds
-        plateau.looks += 1
+        plateau.looks += 1.0
         if plateau.seen % windows.LENGTH == 0:
             # What was held before may slip now.
             plateau.earlier_odds = max(EARLIER * plateau.window_odds, 0.0)
@@ -150,7 +159,7 @@ def _look_for_slip(plateau, forces, coupled, dt, log_ratio, judged):
         plateau.sum[1] += forces.fast.value[1] / q
         plateau.sum[2] += forces.fast.value[2] / q
         plateau.count += 1.0
-    if plateau.looks <= 1:
+    if plateau.seen <= windows.LEAST:
         plateau.odds = odds
     if FADED < plateau.odds < CLEAR_SLIP:
         plateau.odds += (FADED - plateau.odds) * (1.0 - math.exp(-dt / FADE))
@@ -163,6 +172,8 @@ def judge(plateau, forecasts, forces, coupled, stamp):
     if not due(forecasts, stamp):
         return False
     dt = abs(stamp - forecasts.made_at) * 1e-9
+    if not plateau.present:
+        plateau.looks *= math.exp(-dt / LOOK_MEMORY)
     compare(forecasts, forces, stamp)
     load, q = forces.fast.value[0], tangential(forces.fast)
     ratio = ratio_of(forces.slow)
