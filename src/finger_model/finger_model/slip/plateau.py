@@ -147,6 +147,9 @@ def _look_for_slip(plateau, forces, coupled, dt, log_ratio, judged):
             # What was held before may slip now.
             plateau.earlier_odds = max(EARLIER * plateau.window_odds, 0.0)
     odds = plateau.window_odds - math.log(1.0 + plateau.looks / windows.LEAST)
+    if plateau.seen <= windows.LEAST:
+        # The cost is of what windows show: else a new plateau is as likely slip as the first one.
+        odds = min(plateau.window_odds, max(odds, 0.0))
     if odds > plateau.odds + 0.5:
         _keep(plateau, 0.5 if plateau.odds > 0.0 else 0.0)
     # Friction may change in a slide that goes on.
