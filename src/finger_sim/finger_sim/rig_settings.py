@@ -78,7 +78,8 @@ class RigSettings(Settings):
     )
     plate_roll: float = setting(
         0.0,
-        "Tilt of the plate about the simulated finger's long axis.",
+        "Tilt of the plate about the simulated finger's long axis: its side at 90 deg from the "
+        "fingertip, from +x towards +y of contact_area, rises.",
         unit="rad",
         minimum=-0.52,
         maximum=0.52,

@@ -175,7 +175,8 @@ class EstimatorSettings(Settings):
     )
     plate_roll: float = _runtime(
         0.0,
-        "Tilt of the plate about the finger's long axis.",
+        "Tilt of the plate about the finger's long axis: its side at 90 deg from the fingertip, "
+        "from +x towards +y of contact_area, rises.",
         unit="rad",
         minimum=-0.78,
         maximum=0.78,
