@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from finger_common.files import atomic_write
 
@@ -80,7 +80,7 @@ def reached(result: dict[str, Any]) -> bool | None:
 
 def table(results: list[dict[str, Any]]) -> Table:
     """Figures as a table for the terminal."""
-    view = Table("figure", "value", "unit", "goal", "", title=machine())
+    view = Table(Column("figure", overflow="fold"), "value", "unit", "goal", "", title=machine())
     for result in results:
         goal = result["goal"]
         sign = "≤" if result["better"] == "lower" else "≥"
