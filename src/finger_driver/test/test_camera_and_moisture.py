@@ -115,8 +115,12 @@ def test_frames_that_come_late_are_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("step", [0.3, -0.3, 3600.0, -3600.0])
-def test_frames_follow_the_clock_of_the_node_over_a_step(tmp_path: Path, step: float) -> None:
-    """Of the system clock, by which the files are stamped; all frames stay in the folder."""
+@pytest.mark.parametrize("follows", [True, False])
+def test_frames_follow_the_clock_of_the_node_over_a_step(
+    tmp_path: Path, step: float, follows: bool
+) -> None:
+    """Of the system clock, which the writer's stamps follow or not; all frames stay in the
+    folder."""
     stepped = 0.0
 
     def wall() -> int:
@@ -130,7 +134,7 @@ def test_frames_follow_the_clock_of_the_node_over_a_step(tmp_path: Path, step: f
         if number == 10:
             stepped = step
         taken = source.clock.now()
-        writer.write(wall(), picture(number))
+        writer.write(wall() if follows else taken, picture(number))
         frame = source.read(1.0)
         assert frame is not None and frame.sequence == number
         assert abs(frame.stamp_ns - taken) < 20e6

@@ -5,7 +5,7 @@
 
 A frame is a file `<stamp>_<sequence>.pgm` (or .png, .tif, .bmp): the acquisition time in ns since
 the epoch and the frame's number, in decimal. Files appear whole, by renaming. The writer keeps only
-the newest ones. A step of the system clock, by which the files are stamped, is taken out.
+the newest ones. A step of the system clock is taken out, whether the stamps follow it or not.
 """
 
 from __future__ import annotations
@@ -120,7 +120,9 @@ class FolderSource(CameraSource):
         for name in names - self._done:
             if (stamped := parse_name(name)) is None:
                 continue
-            key = (stamped[0] + shift, stamped[1])
+            # A writer may follow a step of the system clock or not.
+            either = stamped[0], stamped[0] + shift
+            key = min(either, key=lambda stamp: abs(now - stamp)), stamped[1]
             if key <= self._last:
                 self._done.add(name)
             elif key[0] > now + nanoseconds(_AHEAD):
