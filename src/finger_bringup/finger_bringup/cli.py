@@ -376,11 +376,12 @@ def _up(arguments: argparse.Namespace) -> int:
 def run_until_interrupted(supervisor: Supervisor) -> bool:
     """Run its processes until an essential one ends, or Ctrl-C; whether it was Ctrl-C.
 
-    The caller's handling of SIGINT and SIGTERM is restored, or its next processes would inherit
-    that SIGINT is ignored.
+    The caller's handling of signals is restored, or its next processes would inherit that they are
+    ignored.
     """
     interrupted = False
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    numbers = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
+    handlers = {number: signal.getsignal(number) for number in numbers}
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         supervisor.start()

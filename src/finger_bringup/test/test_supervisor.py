@@ -184,7 +184,8 @@ def test_processes_of_a_higher_rank_end_first() -> None:
 
 def test_who_ran_a_supervisor_to_its_end_still_has_its_signal_handlers() -> None:
     """Or all processes that it starts later ignore Ctrl-C."""
-    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    numbers = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
+    before = [signal.getsignal(number) for number in numbers]
     for code, interrupted in (("raise SystemExit(3)", False), (FOREVER, True)):
         log = Log()
         supervisor = Supervisor([ProcessSpec("node", python(code), essential=True)], line=log)
@@ -194,10 +195,10 @@ def test_who_ran_a_supervisor_to_its_end_still_has_its_signal_handlers() -> None
             )
             thread.start()
         assert run_until_interrupted(supervisor) == interrupted
-        assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
+        assert [signal.getsignal(number) for number in numbers] == before
 
 
-@pytest.mark.parametrize("second", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("second", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_second_signal_does_not_cut_the_end_of_the_processes_short(
     second: signal.Signals,
 ) -> None:
