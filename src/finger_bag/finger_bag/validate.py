@@ -50,8 +50,8 @@ MAXIMUM_DELAY, MAXIMUM_LEAD = 1.0, 0.05
 """s of the log time behind the stamp, and before it: clocks that disagree (medians)."""
 
 MOISTURE_DELAY, MOISTURE_LEAD = 60.0, 1.0
-"""The same of a reading: a table has whole seconds, and may be saved late, which is noted (median).
-"""
+"""The same of moisture readings. The median delay is noted, as a table may be saved late. The lead
+of any one reading fails: a table has whole seconds, so that 1 s is none."""
 
 SATURATED_SAMPLES, SATURATED_TIME = 25, 0.1
 """Equal extreme values in a row, and s of them, that count as a saturated sensor."""
@@ -252,14 +252,19 @@ def _check_streams(streams: SessionStreams, settings: ReadSettings, result: Vali
         _check_order(name, stamps, result)
         delay = _delay(stamps, logs, settings, name, f"{name}/compressed")
         right = -MAXIMUM_LEAD <= float(np.median(delay)) <= MAXIMUM_DELAY
-        _add_log_time(name, delay, OK if right else FAIL, result)
+        status, doubt = (OK, "") if right else (FAIL, "clocks disagree")
+        _add_log_time(name, delay, status, doubt, result)
     readings = [(r.stamp_ns, r.log_ns) for r in streams.moistures if r.log_ns is not None]
     if readings:
         stamps, logs = np.array(readings, np.int64).T
         delay = _delay(stamps, logs, settings, "moisture")
-        late = float(np.median(delay)) > MOISTURE_DELAY
-        status = FAIL if delay.min() < -MOISTURE_LEAD else NOTE if late else OK
-        _add_log_time("moisture", delay, status, result)
+        status, doubt, lead = OK, "", -float(delay.min())
+        if lead > MOISTURE_LEAD:
+            status = FAIL
+            doubt = f"the earliest reading is stamped {lead:.1f} s ahead: clocks disagree"
+        elif float(np.median(delay)) > MOISTURE_DELAY:
+            status, doubt = NOTE, "clocks disagree, or they came late"
+        _add_log_time("moisture", delay, status, doubt, result)
     if len(streams.indentations):
         _check_order("indentation", streams.indentations["stamp_ns"], result)
     _check_gaps(streams, settings, result)
@@ -273,13 +278,14 @@ def _delay(stamps: np.ndarray, logs: np.ndarray, settings: ReadSettings, *names:
     return (logs - stamps + moved) * 1e-9
 
 
-def _add_log_time(name: str, delay: np.ndarray, status: str, result: Validation) -> None:
-    doubt = {OK: "", NOTE: "; clocks disagree, or they came late", FAIL: "; clocks disagree"}
+def _add_log_time(
+    name: str, delay: np.ndarray, status: str, doubt: str, result: Validation
+) -> None:
     result.add(
         f"log time of {name}",
         status,
         f"{np.median(delay) * 1e3:.1f} ms behind the stamp (median; {delay.min() * 1e3:.1f} to "
-        f"{delay.max() * 1e3:.1f} ms){doubt[status]}",
+        f"{delay.max() * 1e3:.1f} ms)" + (doubt and f"; {doubt}"),
     )
 
 

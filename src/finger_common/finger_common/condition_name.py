@@ -13,9 +13,9 @@ from .errors import InputError
 CONDITION_NAME = re.compile(r"(?:\w[\w .,+()%-]{0,63})?")
 """Empty: no condition was noted."""
 
-SESSION_CONDITION = re.compile(r"[A-Za-z0-9_-]{1,64}")
-"""Of a guided session. Its conditions stand between commas on the command line and in blocks such
-as dry:3, and name the bags of the session, which are typed in commands."""
+SESSION_NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
+"""Of a guided session and of its conditions. These stand between commas on the command line and in
+blocks such as dry:3, and name the bags of the session, which are typed in commands."""
 
 CASE_ALONE = "differ in case alone; write one name in one way"
 
@@ -25,7 +25,7 @@ def check_condition_name(text: str, what: str) -> str:
     if not CONDITION_NAME.fullmatch(text):
         raise InputError(
             f"{what} {text[:40]!r} is not valid; use letters, digits, spaces and _ . , + ( ) % -, "
-            "at most 64 characters, the first a letter or a digit"
+            "at most 64 characters, the first a letter, a digit or _"
         )
     return text
 

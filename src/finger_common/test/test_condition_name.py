@@ -8,28 +8,30 @@ from __future__ import annotations
 import pytest
 
 from finger_common.condition_name import (
-    SESSION_CONDITION,
+    SESSION_NAME,
     check_condition_name,
     same_but_for_case,
 )
 from finger_common.errors import InputError
 
 
-@pytest.mark.parametrize("name", ["", "dry", "very dry", "trocken, 20 % (links)", "x" * 64, "naß"])
+@pytest.mark.parametrize(
+    "name", ["", "dry", "very dry", "trocken, 20 % (links)", "x" * 64, "naß", "_x"]
+)
 def test_names_that_name_files_everywhere(name: str) -> None:
     assert check_condition_name(name, "condition") == name
 
 
 @pytest.mark.parametrize("name", ["..", "/dry", "dry/left", "-dry", " dry", "x" * 65, "dry\n"])
 def test_other_names_are_refused_with_the_rule(name: str) -> None:
-    with pytest.raises(InputError, match=r"^condition .* is not valid; use letters, digits"):
+    with pytest.raises(InputError, match=r"^condition .* is not valid; use letters.*a digit or _$"):
         check_condition_name(name, "condition")
 
 
 @pytest.mark.parametrize("name", ["dry_pull", "dry-2", "0"])
 def test_a_name_of_a_session_is_one_of_a_bag(name: str) -> None:
-    assert SESSION_CONDITION.fullmatch(name)
-    assert not SESSION_CONDITION.fullmatch(f"{name},")
+    assert SESSION_NAME.fullmatch(name)
+    assert not SESSION_NAME.fullmatch(f"{name},")
 
 
 def test_the_first_names_that_differ_in_case_alone() -> None:

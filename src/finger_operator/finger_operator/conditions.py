@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from finger_common.condition_name import CASE_ALONE, SESSION_CONDITION, same_but_for_case
+from finger_common.condition_name import CASE_ALONE, SESSION_NAME, same_but_for_case
 from finger_common.errors import nearest
 from finger_common.guided_pulls import skin_of
 
@@ -18,7 +18,7 @@ def conditions_problem(names: Sequence[object]) -> str:
         return "no condition is given; name at least one, such as natural"
     texts = []
     for name in names:
-        if not isinstance(name, str) or not SESSION_CONDITION.fullmatch(name):
+        if not isinstance(name, str) or not SESSION_NAME.fullmatch(name):
             return (
                 f"condition '{str(name)[:40]}' is not valid in a session; use at most 64 letters, "
                 "digits, - and _, and commas between conditions"
@@ -40,7 +40,7 @@ def new_conditions(names: Iterable[str], known: Iterable[str]) -> str:
     sentences = []
     for name in names:
         skin = skin_of(name)
-        if not SESSION_CONDITION.fullmatch(name) or skin in skins:
+        if not SESSION_NAME.fullmatch(name) or skin in skins:
             continue
         sentences.append(f"'{name}' is a new condition without a preparation text.")
         if near := nearest(skin.casefold(), folded):

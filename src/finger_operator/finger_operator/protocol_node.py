@@ -26,7 +26,7 @@ from std_srvs.srv import Trigger
 
 from finger_bag.streams import TrialEvent
 from finger_common.cli import one_line
-from finger_common.condition_name import SESSION_CONDITION
+from finger_common.condition_name import SESSION_NAME
 from finger_common.diagnostics import (
     ERROR,
     OK,
@@ -261,7 +261,7 @@ class ProtocolNode(ManagedNode):
             name = read_text(pointer).strip()
         except InputError:
             return
-        if not SESSION_CONDITION.fullmatch(name) or not (self._output / name / STATE_FILE).exists():
+        if not SESSION_NAME.fullmatch(name) or not (self._output / name / STATE_FILE).exists():
             return
         try:
             self._protocol = Protocol.resume_from(

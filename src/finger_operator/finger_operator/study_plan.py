@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from finger_common.condition_name import SESSION_CONDITION
+from finger_common.condition_name import SESSION_NAME
 from finger_common.errors import InputError
 from finger_common.guided_presses import CALIBRATION_PRESSES, PRESS_BY_NAME, GuidedPress
 from finger_common.guided_pulls import is_pull, press_before_pull, skin_of
@@ -127,7 +127,7 @@ class StudyPlan(PlanSettings):
 
     def validate(self) -> None:
         check_subject(self.subject)
-        if not SESSION_CONDITION.fullmatch(self.session):
+        if not SESSION_NAME.fullmatch(self.session):
             raise InputError(
                 f"session '{self.session}' cannot be a folder's name; use letters, digits, - and _"
             )
@@ -203,6 +203,6 @@ def parse_preparations(lines: list[str]) -> dict[str, str]:
 def parse_preparation(line: str) -> tuple[str, str]:
     """Condition and text of a line "condition: text"; raises InputError for one of another form."""
     name, colon, text = line.partition(":")
-    if not colon or not SESSION_CONDITION.fullmatch(name.strip()) or not text.strip():
+    if not colon or not SESSION_NAME.fullmatch(name.strip()) or not text.strip():
         raise InputError(f"preparation '{line[:40]}' is not 'condition: text'; add the condition")
     return name.strip(), text.strip()[:2000]
