@@ -490,6 +490,21 @@ def test_ueye_frames_that_are_handed_out_twice_are_one_frame_with_the_stamp_of_t
     assert not source.health.counters["lost"]
 
 
+def test_ueye_that_hands_out_the_same_frame_for_ever_is_lost() -> None:
+    sdk = FakeUeye()
+    source = UeyeSource(UeyeSettings(rate=10.0), sdk=sdk)
+    source.connect()
+    sdk.now = lambda: 100.0
+    assert source.read(0.1) is not None
+    begin, reads, number = time.monotonic(), 0, sdk.number - 1
+    with pytest.raises(DeviceError, match="no frame for 2.0 s; check USB"):
+        while time.monotonic() < begin + 4.0:
+            sdk.number = number
+            assert source.read(0.1) is None
+            reads += 1
+    assert 10 < reads < 500, "it waits between them"
+
+
 @pytest.mark.parametrize("rate", [1.0, 0.99])
 def test_ueye_whose_clock_has_another_rate_is_told(rate: float) -> None:
     sdk = FakeUeye()

@@ -33,6 +33,8 @@ _ERRORS = {
     178: "transfer error",
 }
 _TIMED_OUT, _TRANSFER_ERROR = 122, 178
+_PAUSE = 0.005
+"""s after a frame that was handed out again: the next one may be so at once."""
 _UPLOAD_TIME = 25
 """s for which a camera takes in its starter firmware, which it may need after an update of the
 driver (DCx manual)."""
@@ -195,9 +197,7 @@ class UeyeSource(CameraSource):
             )
             return None
         if code == _TIMED_OUT:
-            silent = time.monotonic() - self._last_frame
-            if silent > max(2.0, 5 / self.settings.rate):
-                raise DeviceError(f"uEye camera {self._id}: no frame for {silent:.1f} s; check USB")
+            self._check_silence()
             return None
         self._check(code, "waiting for a frame")
         try:
@@ -208,8 +208,6 @@ class UeyeSource(CameraSource):
             data = u.get_data(memory, self._width, self._height, 8, self._pitch, copy=True)
         finally:
             u.is_UnlockSeqBuf(self._camera, number, memory)
-        self._last_frame = time.monotonic()
-        self.cleared("transfer")
         image = np.asarray(data, dtype=np.uint8).reshape(self._height, self._pitch)
         sequence, ticks = int(info.u64FrameNumber), int(info.u64TimestampDevice)
         repeated, self._newest = self._newest == (sequence, ticks), (sequence, ticks)
@@ -217,7 +215,11 @@ class UeyeSource(CameraSource):
             repeated, "repeated", "a frame was handed out again, and left out; update the driver"
         )
         if repeated:
+            self._check_silence()
+            time.sleep(_PAUSE)
             return None
+        self._last_frame = time.monotonic()
+        self.cleared("transfer")
         self.count_lost(sequence)
         stamp = self._mapper.update(ticks, received)
         self.health.notes.update(self._mapper.notes())
@@ -227,6 +229,11 @@ class UeyeSource(CameraSource):
             "the camera's clock does not run at the rate it states; stamps are times of receipt",
         )
         return Frame(stamp, np.ascontiguousarray(image[:, : self._width]), sequence)
+
+    def _check_silence(self) -> None:
+        silent = time.monotonic() - self._last_frame
+        if silent > max(2.0, 5 / self.settings.rate):
+            raise DeviceError(f"uEye camera {self._id}: no frame for {silent:.1f} s; check USB")
 
     def close(self) -> None:
         camera, self._camera = self._camera, None
