@@ -30,6 +30,9 @@ CAMERA_APART = 1.0
 AHEAD = 1.0
 """s by which a reading may be stamped ahead of the protocol's clock."""
 
+STALE_READING = 60.0
+"""s before a step from which a reading tells of a clock, and not of one that was taken early."""
+
 NUMBER = re.compile(r"\d+([.,]\d+)*")
 
 LOGGED_SILENCE = 1.0
@@ -110,14 +113,21 @@ class Inputs:
         )
 
     def camera_apart(self, limits: Limits) -> str:
-        """That camera and force disagree on the time, and the remedy; empty where they agree, and
-        where no camera is needed."""
+        """That camera and force disagree on the time, or areas come late, and the remedy; empty
+        where neither is so, and where no camera is needed."""
         force, area = self._lag_of_force.least, self._lag_of_area.least
         if not limits.need_camera or force is None or area is None:
             return ""
         apart = abs(area - force)
         if apart <= CAMERA_APART:
             return ""
+        if area > force:
+            return (
+                f"contact areas are stamped {apart:.1f} s before the force that comes with them: "
+                "they take that long to come, or the clocks of camera and force are apart; use a "
+                "smaller picture or a faster area sensor, or restart all nodes and synchronise the "
+                "computers"
+            )
         return (
             f"the clocks of camera and force are {apart:.1f} s apart: the system clock was stepped "
             "between the starts of their drivers, or one of them is on another computer; restart "
@@ -147,19 +157,24 @@ class Inputs:
         where it does."""
         reading, age = f"Reading {value:g}", seconds(now_ns - stamp_ns)
         early = seconds(since_ns - stamp_ns)
-        wrong = ""
+        wrong = clock = ""
         # Tables have whole seconds.
         if early > (0.0 if stamp_ns % NANOSECONDS else 1.0):
-            wrong, clock = f"{early:.1f} s before this step", "late"
+            wrong = f"{early:.1f} s before this step"
+            clock = "behind" if early > STALE_READING else ""
         elif age < -AHEAD:
-            wrong, clock = f"{-age:.1f} s ahead of the protocol's clock", "fast"
+            wrong, clock = f"{-age:.1f} s ahead of the protocol's clock", "ahead"
         if wrong:
             apart = self.clocks_apart()
-            remedy = (
-                f"{apart}."
-                if apart and abs(age - self.force_lag) <= 1.0
-                else f"take another. If it was taken now, the clock of the probe is {clock}."
-            )
+            if apart and abs(age - self.force_lag) <= 1.0:
+                remedy = f"{apart}."
+            elif clock:
+                remedy = (
+                    f"the clock of the moisture node is {clock}: restart all nodes, or set the "
+                    "clock of the probe."
+                )
+            else:
+                remedy = "take another. If it was taken now, the clock of the probe is late."
             return f"{reading} is stamped {wrong} and does not count; {remedy}"
         if not is_moisture(value):
             low, high = MOISTURE_RANGE

@@ -16,17 +16,24 @@ from finger_operator.limits import Limits
 from finger_operator.steps import Step
 
 
-@pytest.mark.parametrize(("offset", "culprit"), [(-60, "restart all nodes"), (0, "of the probe")])
+@pytest.mark.parametrize(
+    ("offset", "late", "remedy"),
+    [
+        (-60, 58, "restart all nodes, or synchronise"),
+        (0, 58, "take another. If it was taken now, the clock of the probe is late"),
+        (0, 3598, "of the moisture node is behind: restart all nodes, or set the clock of the pr"),
+    ],
+)
 def test_a_reading_is_late_by_itself_or_with_the_force(
-    rig: Rig, offset: float, culprit: str
+    rig: Rig, offset: float, late: int, remedy: str
 ) -> None:
     rig.force_offset = offset * SECOND
     rig.run(0.2)
     rig.protocol.start(rig.now)
     rig.run(2.0)
-    rig.protocol.moisture(rig.now - 60 * SECOND + 1, 50.0)
-    assert "stamped 58.0 s before this step and does not count" in rig.last.note
-    assert culprit in rig.last.note
+    rig.protocol.moisture(rig.now - (late + 2) * SECOND + 1, 50.0)
+    assert f"stamped {late}.0 s before this step and does not count" in rig.last.note
+    assert remedy in rig.last.note
     assert ("force driver and the protocol are 60.0 s apart" in rig.last.note) == bool(offset)
     assert rig.attempt.moisture_before == []
 
@@ -39,7 +46,8 @@ def test_a_reading_of_the_future_does_not_count(rig: Rig) -> None:
     for _ in range(3):
         rig.protocol.moisture(rig.now + 3600 * SECOND, 50.0)
     assert "stamped 3600.0 s ahead of the protocol's clock and does not count" in rig.last.note
-    assert "the clock of the probe is fast" in rig.last.note
+    remedy = "the clock of the moisture node is ahead: restart all nodes, or set the clock of the"
+    assert remedy in rig.last.note
     assert rig.attempt.moisture_before == []
     # Rounded up to a whole second, as of a table.
     rig.protocol.moisture(rig.now + -rig.now % SECOND, 50.0)
@@ -57,7 +65,10 @@ def test_no_press_begins_while_the_clocks_of_camera_and_force_are_apart(
     rig.readings(37.0, 38.0, 39.0)
     rig.run(3.0)
     assert rig.protocol.step is Step.CLEAR and rig.protocol.trials[0].attempts == [rig.attempt]
-    apart = f"the clocks of camera and force are {abs(offset)}.0 s apart"
+    apart = f"the clocks of camera and force are {offset}.0 s apart"
+    if offset < 0:
+        apart = f"contact areas are stamped {-offset}.0 s before the force that comes with them: "
+        apart += "they take that long to come"
     assert apart in rig.protocol.waiting_for() and "restart" in rig.protocol.waiting_for()
     rig.protocol.check_clocks()
     assert apart in clock_warnings(rig)[0]
