@@ -600,7 +600,7 @@ class Protocol:
 
     def _begin_attempt(self) -> None:
         if gone := self.files.gone:
-            self._hold(f"{self.folder}: {gone}. Bring it back, then resume.")
+            self._hold(f"{self.folder}: {gone}. Then resume.")
             return
         condition = self._queue.trial.condition
         attempt = self._queue.begin_attempt(self.folder, self._now)

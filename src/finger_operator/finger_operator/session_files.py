@@ -38,7 +38,7 @@ class SessionFiles:
     ) -> None:
         self.log = log
         self.problem = ""
-        """Why the session is not saved; empty where it is."""
+        """Why the session is not saved, and the remedy; empty where it is."""
         self.unmarked: list[tuple[Path, TrialEvent]] = []
         """Bags of failed attempts and what they are to say of them, once they are closed."""
         self._folder = folder
@@ -52,7 +52,8 @@ class SessionFiles:
         """That the folder, in which the session was saved, is not there any longer; empty where it
         is. It is not made anew, as that could be on another disk."""
         lost = self._saved and not exists(self._folder)
-        return "the folder is gone, as of a disk that is not connected" if lost else ""
+        remedy = "connect its disk, or make this folder anew to go on without what was in it"
+        return f"the folder is gone: {remedy}" if lost else ""
 
     def save(self, state: bool = True) -> None:
         """Write the state file, the table of trials and the event log; without `state` the log
@@ -70,7 +71,9 @@ class SessionFiles:
             if state:  # else the state may still be unwritten
                 self.problem = ""
         except (OSError, InputError) as error:
-            reason = getattr(error, "strerror", None) or one_line(error)
+            reason = one_line(error)
+            if isinstance(error, OSError):
+                reason = f"{error.strerror or reason}; make room or give access"
             self.problem = f"The session cannot be saved in {self._folder}: {reason}"
 
     def write_all(self) -> None:
@@ -78,7 +81,7 @@ class SessionFiles:
         self.mark_bags()
         self.save()
         if self.problem:
-            raise InputError(f"{self.problem}; make room or give access, then try again")
+            raise InputError(f"{self.problem}, then try again")
 
     def write_again(self, now_ns: int) -> None:
         """Write what could not be written before, if the last attempt was a while ago."""
@@ -101,6 +104,8 @@ class SessionFiles:
 
     def _mark(self, bag: Path, event: TrialEvent) -> bool:
         """Say in a bag what became of its attempt; false where that is to be tried again."""
+        if self.gone:
+            return False  # it may come back
         if not bag.is_dir():
             self._tell("warning", f"{bag} is not there, and is not marked as failed")
             return True

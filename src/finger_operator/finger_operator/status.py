@@ -226,7 +226,7 @@ def _warnings(protocol: Protocol, disk: dict[str, Any], earlier_sessions: list[s
     """Sentences that the operator should see, without effect on the trials."""
     found = []
     if protocol.files.problem:
-        found.append(f"{protocol.files.problem}. Make room or give access; it is tried again.")
+        found.append(f"{protocol.files.problem}. It is tried again.")
     if disk["enough"] is False:
         number = disk["trials_left"]
         room = f"room for only {number} more {'trial' if number == 1 else 'trials'}"

@@ -149,6 +149,26 @@ def test_bags_that_cannot_be_marked_are_marked_as_soon_as_they_can_be(
             assert [m.message.phase for m in reader.messages()][1:] == [TrialPhase.FAILED]
 
 
+def test_a_failed_trial_is_marked_when_the_disk_that_was_pulled_in_its_press_is_back(
+    rig: Rig, tmp_path: Path
+) -> None:
+    rig.to_press()
+    path = Path(rig.attempt.bag)
+    with BagWriter(path) as bag:
+        bag.write("trial", {"header": {"stamp": rig.now}, "phase": int(TrialPhase.PRESS)})
+    rig.run(0.3, 0.8, ramp=True)
+    rig.folder.rename(tmp_path / "pulled")
+    for _ in range(60):
+        rig.run(0.1)
+        rig.protocol.recorder_writes("", rig.now)
+    rig.protocol.files.mark_bags(left=True)
+    (tmp_path / "pulled").rename(rig.folder)
+    rig.run(12.0)
+    assert not [e.text for e in rig.protocol.log.events if "not marked" in e.text]
+    with open_bag(path) as reader:
+        assert list(reader.messages())[-1].message.phase == TrialPhase.FAILED
+
+
 def test_a_bag_that_its_recorder_has_not_closed_is_not_marked_yet(rig: Rig) -> None:
     rig.to_press()
     bag = Path(rig.attempt.bag)

@@ -173,7 +173,7 @@ def test_a_finished_session_is_saved_as_soon_as_it_can_be(
     import finger_operator.session_files as module
 
     def refuse(*_: Any) -> None:
-        raise InputError("no room")
+        raise OSError(28, "no room")
 
     rig.trial()
     with monkeypatch.context() as full:
@@ -213,6 +213,22 @@ def test_a_session_whose_folder_is_gone_is_not_begun_anew_on_another_disk(
     assert not rig.protocol.files.problem
     saved = json.loads((rig.folder / STATE_FILE).read_text())
     assert [t["verdict"] for t in saved["trials"]][:2] == ["done", "done"]
+
+
+def test_a_session_whose_folder_is_gone_for_good_is_closed_in_a_new_folder(
+    rig: Rig, tmp_path: Path
+) -> None:
+    rig.trial()
+    rig.folder.rename(tmp_path / "away")
+    rig.protocol.end(rig.now)
+    rig.run(6.0)
+    with pytest.raises(InputError, match=r"make this folder anew .*, then try again$") as error:
+        rig.protocol.files.write_all()
+    assert "make room" not in f"{error.value} {session_status(rig.protocol)['warnings'][0]}"
+    rig.folder.mkdir()
+    rig.protocol.files.write_all()
+    saved = json.loads((rig.folder / STATE_FILE).read_text())
+    assert saved["trials"][0]["verdict"] == "done" and saved["ended"]
 
 
 def test_the_log_of_a_press_hides_no_state_that_could_not_be_saved(
