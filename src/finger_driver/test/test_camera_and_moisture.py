@@ -497,7 +497,7 @@ def test_ueye_that_hands_out_the_same_frame_for_ever_is_lost() -> None:
     sdk.now = lambda: 100.0
     assert source.read(0.1) is not None
     begin, reads, number = time.monotonic(), 0, sdk.number - 1
-    with pytest.raises(DeviceError, match="no frame for 2.0 s; check USB"):
+    with pytest.raises(DeviceError, match=r"no frame for 2\.0 s; check USB"):
         while time.monotonic() < begin + 4.0:
             sdk.number = number
             assert source.read(0.1) is None
