@@ -5,6 +5,7 @@ Pictures of the page at five sizes go to out/page (PAGE_SHOTS names another fold
 
 from __future__ import annotations
 
+import asyncio
 import re
 import threading
 import time
@@ -473,6 +474,43 @@ def test_a_reading_counts_once_however_often_enter_is_pressed(rig: StandIn, page
     press_key(page, "k")
     until(lambda: "marker" in [name for name, _ in rig.commands], page)
     assert [name for name, _ in rig.commands] == ["moisture", "marker"]
+
+
+@pytest.mark.parametrize("what", ["no answer", "lost", "refused"])
+def test_a_reading_of_which_nobody_knows_what_became_is_no_second_one(
+    rig: StandIn, page: Any, monkeypatch: pytest.MonkeyPatch, what: str
+) -> None:
+    """It was carried out; Enter once more says what the page had seen before the first one."""
+    monkeypatch.setattr("finger_operator.page.server.CARRIED_OUT", 0.5)
+
+    async def command(name: str, arguments: dict[str, Any]) -> tuple[bool, str]:
+        if name != "moisture":
+            return await others(name, arguments)
+        given.append(arguments["seen_readings"])
+        if what == "lost":
+            for browser in list(rig.server._browsers):
+                browser.drop()
+        if what != "refused":
+            await asyncio.sleep(1.0)
+        return False, "not taken"
+
+    given: list[int] = []
+    others = rig.server._command
+    none: dict[str, Any] = {"moisture_before": [], "moisture_after": []}
+    prepare(rig, page, **none)
+    page.wait_for_selector("#link.good")
+    monkeypatch.setattr(rig.server, "_command", command)
+    page.fill("#moisture-input", "44.4")
+    page.press("#moisture-input", "Enter")
+    told = {"no answer": "no answer within", "lost": "connection was lost", "refused": "not taken"}
+    until(lambda: told[what] in page.inner_text("#answer"), page)
+    rig.status(**session("moisture_before", **{**none, "moisture_before": [44.4]}))
+    page.wait_for_selector("#link.good")
+    until(lambda: "44.4" in page.inner_text("#moisture-before"), page)
+    page.wait_for_timeout(600)
+    page.press("#moisture-input", "Enter")
+    until(lambda: len(given) > 1, page)
+    assert given == [0, 1 if what == "refused" else 0]
 
 
 def test_a_reading_that_does_not_count_is_seen(rig: StandIn, page: Any) -> None:

@@ -123,10 +123,12 @@ class Browser:
         self.confirmed, self.sending_since = True, None
         self.wake.set()
 
-    def answer(self, number: Any, success: bool, sentence: str) -> None:
-        """Answer the command of that number."""
+    def answer(self, number: Any, success: bool, sentence: str, unknown: bool = False) -> None:
+        """Answer the command of that number. unknown: it may be carried out still."""
         number = number if isinstance(number, int) else None
         answer = {"type": "answer", "id": number, "success": success, "message": sentence}
+        if unknown:
+            answer["unknown"] = True
         self.add_cue(json.dumps(answer))
 
     def complain(self, sentence: str, number: Any = None) -> None:

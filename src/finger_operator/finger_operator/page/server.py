@@ -52,6 +52,8 @@ BAD_MESSAGES = 20
 """Bad messages after which a connection is closed."""
 PATIENCE = 10.0
 """s for a request to be complete and for what is sent to be read."""
+CARRIED_OUT = 10.0
+"""s for a command to be carried out; what became of it is unknown after them."""
 CONNECTIONS = 100
 """Connections at a time; further ones are closed at once."""
 BATCH = 0.04
@@ -366,14 +368,17 @@ class PageServer:
     async def _carry_out(
         self, browser: Browser, number: Any, name: str, arguments: dict[str, Any]
     ) -> None:
+        unknown = False
         try:
-            success, sentence = await asyncio.wait_for(self._command(name, arguments), 10.0)
+            carried_out = self._command(name, arguments)
+            success, sentence = await asyncio.wait_for(carried_out, CARRIED_OUT)
         except asyncio.TimeoutError:
-            success = False
-            sentence = f"{name}: no answer within 10 s; check the state of the devices"
+            success, unknown = False, True
+            within = f"no answer within {CARRIED_OUT:g} s"
+            sentence = f"{name}: {within}; check the state of the devices"
         except FingerError as error:
             success, sentence = False, str(error)
-        browser.answer(number, success, sentence)
+        browser.answer(number, success, sentence, unknown)
 
     async def _flush_force(self) -> None:
         """Hand on samples in batches: a call per sample into this thread would delay the cue."""

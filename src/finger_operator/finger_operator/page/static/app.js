@@ -564,7 +564,7 @@ const link = new Link({ view: "operator", token }, receive, (now) => {
   state.link = now;
   if (now === "lost") for (const [id, resolve] of state.answers) {
     state.answers.delete(id);
-    resolve({ success: false, message: "the connection was lost" });
+    resolve({ success: false, unknown: true, message: "the connection was lost" });
   }
   check();
 });
@@ -648,7 +648,8 @@ $("moisture-form").onsubmit = async (event) => {
   const seen_readings = typedAfter ?? readingsSeen();
   const value = Number(input.value);
   const answer = await command("moisture", { value, ...seen(), seen_readings });
-  typedAfter = null;
+  // Where nobody knows what became of it, Enter for it again must not be a second reading.
+  typedAfter = answer.unknown ? seen_readings : null;
   if (answer.success) { input.value = ""; input.blur(); }
   setTimeout(() => { entering = false; }, TWICE);
 };
