@@ -56,6 +56,9 @@ of any one reading fails: a table has whole seconds, so that 1 s is none."""
 SATURATED_SAMPLES, SATURATED_TIME = 25, 0.1
 """Equal extreme values in a row, and s of them, that count as a saturated sensor."""
 
+LEAST_SATURATED = 1.0
+"""N, least force that the end of a sensor's range may be."""
+
 COARSE = 0.01
 """N, rounding of a force from which equal values in a row are usual: it is noted only."""
 
@@ -320,8 +323,8 @@ def _check_gaps(streams: SessionStreams, settings: ReadSettings, result: Validat
 
 
 class Saturation(NamedTuple):
-    """A force (N) at which a sensor stays for so many samples; coarse: its forces are rounded so
-    that equal ones are usual."""
+    """A force (N) at which a sensor stays for so many samples; coarse: its forces are rounded so,
+    or have so little noise, that equal ones are usual."""
 
     force: float
     samples: int
@@ -334,13 +337,31 @@ def saturations(stamp_ns: np.ndarray, force: np.ndarray) -> list[Saturation]:
     rate = NANOSECONDS / max(float(np.median(steps)), 1.0) if len(steps) else 0.0
     values = force[np.isfinite(force)]
     levels = np.unique(values)
-    coarse = len(levels) > 1 and bool(np.diff(levels).min() >= COARSE)
+    needed = max(SATURATED_SAMPLES, SATURATED_TIME * rate)
     found = []
     for extreme in levels[[-1, 0]] if len(levels) else ():
         longest = longest_run(values == extreme)
-        if abs(extreme) >= 1.0 and longest >= max(SATURATED_SAMPLES, SATURATED_TIME * rate):
+        if abs(extreme) >= LEAST_SATURATED and longest >= needed:
+            coarse = _equal_forces_are_usual(values, levels, needed)
             found.append(Saturation(float(extreme), longest, coarse))
     return found
+
+
+def _equal_forces_are_usual(values: np.ndarray, levels: np.ndarray, needed: float) -> bool:
+    """Whether forces (n,) in N with these distinct, sorted values are rounded coarsely, or stay for
+    `needed` samples where no sensor is saturated, such as at rest or in a smaller hold: at one
+    value, or four times as long at two neighbouring ones."""
+    if len(levels) > 1 and np.diff(levels).min() >= COARSE * (1.0 - 1e-3):
+        return True
+    level = np.searchsorted(levels, values)
+    extreme = np.isin(values, levels[[0, -1]]) & (np.abs(values) >= LEAST_SATURATED)
+    # Near the border of two values even little noise goes to and fro.
+    for group, enough in ((level, 1), (level // 2, 4), ((level + 1) // 2, 4)):
+        starts = np.flatnonzero(np.diff(np.where(extreme, -1, group), prepend=-2))
+        samples = np.diff(starts, append=len(values))
+        if samples[~extreme[starts]].max(initial=0) >= enough * needed:
+            return True
+    return False
 
 
 def longest_run(mask: np.ndarray) -> int:

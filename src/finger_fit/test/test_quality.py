@@ -559,6 +559,14 @@ def test_a_force_at_the_end_of_the_sensors_range_fails(
     # Rounded to 0.02 N, equal ones are usual.
     coarse = [replace(r, force=np.round(r.force / 0.02) * 0.02) for r in cut]
     assert status_of(fitted(double, coarse), "saturation")[0] != "fail"
+    # Force control without noise, and a quiet hold with a sensor of 1/171 N.
+    held = [replace(r, force=np.minimum(r.force, 1.38)) for r in presses]
+    assert status_of(fitted(double, held), "saturation")[0] == "note"
+    steps = [
+        replace(r, force=np.round((r.force + rng.normal(0.0, 3e-4, len(r.force))) * 171) / 171)
+        for r in held
+    ]
+    assert status_of(fitted(double, steps), "saturation")[0] == "note"
 
 
 def test_areas_that_are_cut_off_fail(double: SimpleNamespace) -> None:
