@@ -50,7 +50,7 @@ class FrameErrors:
         found = self.white * rows @ rows.T
         if self.alike > 0.0:
             for part, time in zip(np.split(rows, _starts(frames), axis=1), frames):
-                found += self.alike * part @ _correlation(time, self.time) @ part.T
+                found += self.alike * part @ _correlated(time, self.time, part.T)
         return found
 
 
@@ -86,7 +86,7 @@ def frame_errors(
     def expected(time: float) -> np.ndarray:
         answer = np.empty_like(slope)
         for place, own in zip(np.split(np.arange(len(residual)), _starts(frames)), frames):
-            answer[place] = _correlation(own, time) @ gain[:, place].T
+            answer[place] = _correlated(own, time, gain[:, place].T)
         whole = gain @ answer
         clock = np.concatenate(frames)
         found = []
@@ -111,11 +111,22 @@ def frame_errors(
     return found
 
 
-def _correlation(time: np.ndarray, decay: float) -> np.ndarray:
-    """Correlation (k, k) of errors at times (k,) in s; of independent ones without decay."""
+def _correlated(time: np.ndarray, decay: float, columns: np.ndarray) -> np.ndarray:
+    """R x of columns x (k, m), R the correlation (k, k) of errors at times (k,) in s, which falls
+    as exp(−Δt/decay); x itself without decay.
+
+    The correlation over two steps is the product of theirs, so that sums over the frames before,
+    and over those after, follow from frame to frame.
+    """
     if not decay:
-        return np.eye(len(time))
-    return np.exp(-np.abs(time[:, None] - time) / decay)
+        return columns
+    kept = np.exp(-np.diff(time) / decay)
+    before, after = columns.copy(), columns.copy()
+    for k in range(1, len(time)):
+        before[k] += kept[k - 1] * before[k - 1]
+    for k in range(len(time) - 2, -1, -1):
+        after[k] += kept[k] * after[k + 1]
+    return before + after - columns
 
 
 def _starts(frames: list[np.ndarray]) -> np.ndarray:
