@@ -3,15 +3,26 @@
 
 """The general law: branches and stiffening in material.yaml, its limits, and bad input."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 
 from finger_common.cli import run
+from finger_common.errors import InputError
 from finger_model.cli import _main
 from finger_model.fem.full_order import FullOrderModel
 from finger_model.finger import load_areas
-from finger_model.laws import GeneralizedMaxwell2, StandardLinearSolid, load_material
+from finger_model.laws import (
+    GeneralizedMaxwell2,
+    MaxwellLaw,
+    StandardLinearSolid,
+    load_material,
+    parameter,
+)
 from finger_model.laws.generalized_maxwell import LAWS_BY_BRANCHES, from_branches
+from finger_model.laws.law import IN_KPA
+from finger_model.laws.maxwell import Branch
 from finger_model.reduced import ReducedModel
 from finger_model.verification.cases import ramp
 
@@ -170,6 +181,60 @@ def test_the_longest_creep_time_is_that_of_the_strain(count: int) -> None:
     assert longest > 9.0 * box[space.index(f"tau_{count}"), 1] / count
     narrow = np.array([[100e3, 110e3], *[[0.5, 1.0], [0.1, 1.0]] * count, *box[-2:]])
     assert law().longest_creep_time(narrow) > 100.0, "fractions up to the whole"
+
+
+def test_fractions_above_the_whole_go_to_the_slowest_branch() -> None:
+    """0.9 of 1 s and what is left, 0.099, of 0.05 s."""
+    law = LAWS_BY_BRANCHES[2]
+    box = np.array(law.PARAMETERS.box)
+    box[1:5] = [[0.05, 0.9], [0.01, 0.05], [0.05, 0.9], [0.2, 1.0]]
+    slowest = law(fraction_1=0.099, tau_1=0.05, fraction_2=0.9, tau_2=1.0)
+    at_once = np.column_stack([slowest.vector(), slowest.vector()])
+    assert law().longest_creep_time(box) == pytest.approx(906.0, rel=1e-3)
+    assert law().longest_creep_time(at_once) == pytest.approx(906.0, rel=1e-3)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TwoTimes(MaxwellLaw):
+    """A law of a user: a fast branch and a slow one of the same modulus."""
+
+    name = "two_times"
+    INTERNAL_TENSORS = 2
+    E0: float = parameter(
+        80e3, "Modulus.", **IN_KPA, symbol="E", bounds=(20e3, 200e3), range=(20e3, 400e3)
+    )
+    share: float = parameter(
+        0.3,
+        "Modulus of each branch over E0.",
+        unit="",
+        symbol="g",
+        display_unit="",
+        display_factor=1.0,
+        bounds=(0.05, 0.4),
+        range=(1e-4, 0.5),
+    )
+
+    @property
+    def branches(self) -> tuple[Branch, ...]:
+        return Branch(self.share, 0.01), Branch(self.share, 2.0)
+
+    @property
+    def epidermis_modulus(self) -> float:
+        return 1e6
+
+    @property
+    def instantaneous_shear_modulus(self) -> float:
+        return self.E0 / 2.96
+
+
+def test_a_users_law_of_branches_has_the_time_of_its_slow_creep() -> None:
+    """Slow strain sees the fast branch relaxed: τ (1 − g)/(1 − 2g), but for the fast branch."""
+    law, box = TwoTimes(), np.array(TwoTimes.PARAMETERS.box)
+    assert law.longest_creep_time(box) == pytest.approx(2.0 * 0.6 / 0.2, rel=0.01)
+    box[1] = 0.05, 0.5  # no spring is left
+    assert law.longest_creep_time(box) == pytest.approx(2.0 * 0.95 / 0.9, rel=0.01)
+    with pytest.raises(InputError, match="long-term shear modulus is 0 Pa, it must be above zero"):
+        TwoTimes(share=0.5)
 
 
 def test_laws_without_branches_state_their_creep_time() -> None:

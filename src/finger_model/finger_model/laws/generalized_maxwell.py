@@ -16,7 +16,7 @@ from finger_common.files import number
 
 from .. import paper
 from .law import IN_KPA, parameter
-from .maxwell import Branch, MaxwellLaw
+from .maxwell import Branch, MaxwellLaw, slowest_creep
 from .space import DerivedQuantity
 from .standard_linear_solid import MODULUS_RANGE
 
@@ -100,17 +100,15 @@ class GeneralizedMaxwell(MaxwellLaw):
         )
 
     def longest_creep_time(self, box: np.ndarray) -> float:
-        """That of the largest fractions and relaxation times: it grows with each of them.
-
-        At constant stress the strain is Σ g_k γ_k, and the dampers follow it by τ_k dγ_k/dt =
-        Σ g_j γ_j − γ_k.
-        """
+        """That of the largest fractions and relaxation times: it grows with each of them, and most
+        with the fraction of the slowest branch."""
         last = 1 + 2 * self.INTERNAL_TENSORS
-        fractions, times = box[1:last:2, 1], box[2:last:2, 1]
-        most = 1.0 - LOWEST_LONG_TERM_FRACTION
-        fractions = fractions * min(1.0, most / fractions.sum())
-        rates = (fractions - np.eye(len(times))) / times[:, None]
-        return float(-1.0 / np.linalg.eigvals(rates).real.max())
+        fractions, times = box[1:last:2, 1].copy(), box[2:last:2, 1]
+        left = 1.0 - LOWEST_LONG_TERM_FRACTION
+        for k in np.argsort(-times):
+            fractions[k] = min(fractions[k], left)
+            left -= fractions[k]
+        return slowest_creep(fractions, times)
 
     @property
     def epidermis_modulus(self) -> float:

@@ -187,8 +187,14 @@ class ConstitutiveLaw(ABC):
         self._check_moduli()
 
     def _check_moduli(self) -> None:
-        """Raises InputError for tissue that is all but incompressible."""
-        ratio = self.bulk_modulus / self.long_term_shear_modulus
+        """Raises InputError for tissue that relaxes to nothing or is all but incompressible."""
+        rest = self.long_term_shear_modulus
+        if not rest > 0.0:
+            raise InputError(
+                f"material: the long-term shear modulus is {rest:.3g} Pa, it must be above zero; "
+                f"{self.STIFFNESS_ADVICE}"
+            )
+        ratio = self.bulk_modulus / rest
         if ratio > LARGEST_BULK_OVER_SHEAR:
             raise InputError(
                 f"material: the bulk modulus is {ratio:.2g} times the long-term shear modulus, "

@@ -21,6 +21,8 @@ The spring may stiffen with strain: W∞ = G∞/(2b) (exp(b (Ī₁ − 3)) − 1
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import math
 from abc import abstractmethod
 from dataclasses import dataclass
@@ -102,6 +104,16 @@ class Branch(NamedTuple):
     relaxation_time: float
 
 
+def slowest_creep(fractions: np.ndarray, times: np.ndarray) -> float:
+    """Time (s) of the slowest creep of branches: fractions (n,) of G0, relaxation times (n,) in s.
+
+    At constant stress the strain is Σ g_k γ_k, and the dampers follow it by τ_k dγ_k/dt =
+    Σ g_j γ_j − γ_k.
+    """
+    rates = (fractions - np.eye(len(times))) / times[:, None]
+    return float(-1.0 / np.linalg.eigvals(rates).real.max())
+
+
 @dataclass(frozen=True, kw_only=True)
 class MaxwellLaw(ConstitutiveLaw):
     """Spring G∞, which may stiffen, beside Maxwell branches (G_k, τ_k); G0 = G∞ + Σ G_k.
@@ -147,6 +159,15 @@ class MaxwellLaw(ConstitutiveLaw):
         """Shortest time (s) in which strain creeps at constant stress."""
         rest = self.long_term_fraction
         return min(b.relaxation_time * (1.0 + b.fraction / rest) for b in self.branches)
+
+    def longest_creep_time(self, box: np.ndarray) -> float:
+        """That of the corners of the box which the law allows."""
+        found = [0.0]
+        for corner in itertools.product(*box):
+            with contextlib.suppress(InputError):
+                branches = self.with_vector(np.array(corner)).branches
+                found.append(slowest_creep(*np.transpose(branches)))
+        return max(found)
 
     def _spring(self, invariant: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """2 ∂W∞/∂Ī₁ and its slope (n, 4) in Pa at Ī₁ (n, 4)."""
