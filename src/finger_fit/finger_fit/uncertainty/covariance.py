@@ -39,6 +39,9 @@ from .frame_errors import FrameErrors, frame_errors
 AT_BOUND = 1e-3
 """A parameter this close to a bound, in its coordinate, lies on it."""
 
+EXACT = 1e-9
+"""Residuals over areas below which they are those of the arithmetic, not of errors."""
+
 WITHIN_BOX = 3.0**-0.5
 """Distance of a bound from a place in the search box, root mean square, over the width of the box:
 how far a parameter on a bound may be off."""
@@ -250,11 +253,16 @@ class Covariance:
         part = part - part.mean(axis=1, keepdims=True)
         clustered = part @ part.T * (trials / max(trials - 1, 1))
         by_trials = inverse @ (clustered + known) @ inverse
-        # Coordinates have different units.
-        scale = np.sqrt(np.maximum(np.diag(by_frames) + np.diag(by_trials), 1e-300))
-        units = np.outer(scale, scale)
-        values, vectors = np.linalg.eigh((by_trials - by_frames) / units)
-        return by_frames + (vectors * np.maximum(values, 0.0)) @ vectors.T * units
+        return by_frames + _positive_part(by_trials - by_frames, np.diag(by_frames + by_trials))
+
+
+def _positive_part(matrix: np.ndarray, squares: np.ndarray) -> np.ndarray:
+    """Symmetric matrix (N, N) without its negative part, in coordinates whose units have these
+    squares (N,)."""
+    scale = np.sqrt(np.maximum(squares, 1e-300))
+    units = np.outer(scale, scale)
+    values, vectors = np.linalg.eigh(matrix / units)
+    return (vectors * np.maximum(values, 0.0)) @ vectors.T * units
 
 
 def sensitivities(problem: FitProblem, parameters: np.ndarray) -> np.ndarray:
@@ -341,7 +349,10 @@ def covariance(
     if not planned:
         frames = _frame_errors(problem, slope[free], weight, robust * residual, noise)
         rows, times = filtered[:, : len(problem.measured)], _times(problem)
-        information += frames.information(rows, times) - noise**2 * rows @ rows.T
+        # Residuals show errors that are alike, not that some combination of them has less noise.
+        alone = noise**2 * rows @ rows.T
+        alike = frames.information(rows, times)
+        information += _positive_part(alike - alone, np.diag(alike + alone))
     scores = problem.by_trial(weight * residual * slope)
     kept = number + len(names)
     if kept < len(curvature):
@@ -382,6 +393,8 @@ def _frame_errors(
         precision = np.append(precision, shared.variance / shared.sd[found] ** 2)
     gain = inverse_of((slope * weight) @ slope.T + np.diag(precision)) @ (slope * weight)
     areas = slice(len(problem.measured))
+    if np.linalg.norm(residual[areas]) < EXACT * np.linalg.norm(problem.measured):
+        return FrameErrors(noise**2)
     return frame_errors(
         residual[areas],
         problem.weight > 0.0,
