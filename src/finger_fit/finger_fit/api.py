@@ -316,7 +316,8 @@ def _check_units(
     peak (N), and its areas (m²)."""
     frames, area = seen.time, seen.values
     low, high = PLAUSIBLE_AREA
-    if fault := length_fault([span[1] - span[0]], period, "give the time in s"):
+    frame_period = float(np.median(np.diff(frames))) if len(frames) > 1 else 0.0
+    if fault := length_fault([span[1] - span[0]], period, "give the time in s", frame_period):
         raise InputError(f"{name}: the press {fault}")
     if peak > LARGEST_FORCE:
         raise InputError(

@@ -285,13 +285,18 @@ def test_intervals_of_contrasts_cover_what_conditions_differ_by(study: FitResult
     assert np.mean(separated) > 0.9, "a common error of a third does not hide a ratio of 1.7"
 
 
-def test_contrasts_of_few_presses_are_as_wide_as_their_intervals(double: SimpleNamespace) -> None:
-    """Each condition of three presses errs by Student's t with two degrees of freedom."""
+@pytest.mark.parametrize("bootstrap", [0, 50])
+def test_contrasts_of_few_presses_are_as_wide_as_their_intervals(
+    double: SimpleNamespace, bootstrap: int
+) -> None:
+    """Each condition of three presses errs by Student's t with two degrees of freedom, which three
+    presses that are resampled do not show."""
     trials = [
         *trials_of(double, 3, condition="dry", subject="S01"),
         *trials_of(double, 3, condition="moist", subject="S01", truth=1.1 * double.TRUTH),
     ]
-    result = fit(trials, model=double.HereditaryModel(), **{**QUICK, "bootstrap": 0}).result
+    options = {**QUICK, "bootstrap": bootstrap, "nuisances": False}
+    result = fit(trials, model=double.HereditaryModel(), **options).result
     (contrast,) = (c for c in result.contrasts if c.quantity == "composite_E")
     known = [fitted.covariance for fitted in result.fits.values()]
     scales = [k.released.data_deviation("composite_E") for k in known if k is not None]
@@ -417,6 +422,17 @@ def test_saved_tables_hold_what_was_found(result: Fit, tmp_path: Path) -> None:
     assert all(r.count(" & ") == len(columns) - 1 for r in rows_of_tex)
     for name in ("goodness", "trials"):
         assert (folder / "tables" / f"{name}.csv").stat().st_size > 0
+
+
+@pytest.mark.parametrize("rate", [500.0, 2000.0, 10_000.0])
+@pytest.mark.parametrize("duration", [0.5, 1.1])
+def test_times_in_milliseconds_are_refused_at_every_rate(rate: float, duration: float) -> None:
+    """Samples of the force may be as close as in a long press, frames are not."""
+    time = np.arange(0.0, duration, 1.0 / rate)
+    frames = np.arange(0.0, duration, 1.0 / 30.0)
+    force, area = (np.sin(np.pi * t / duration) for t in (time, frames))
+    with pytest.raises(InputError, match="give the time in s, or a press of up to 1200 s"):
+        fit([Trial(1e3 * time, force, 9e-5 * area, 1e3 * frames)])
 
 
 @pytest.mark.parametrize(

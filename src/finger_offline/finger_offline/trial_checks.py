@@ -48,9 +48,9 @@ PLAUSIBLE_AREA = (5e-6, 2e-3)
 SHORTEST_PRESS, LONGEST_PRESS = 0.02, 1200.0
 """s; presses that are all shorter or all longer have times of another unit."""
 
-LONG_PRESS, SLOW_FORCE = 300.0, 0.5
-"""s; so have presses that are all longer than the first, with samples further apart than the
-second."""
+LONG_PRESS, SLOW_FORCE, SLOW_FRAMES = 300.0, 0.5, 5.0
+"""s; so have presses that are all longer than the first, with samples of the force further apart
+than the second, or frames further apart than the third."""
 
 LARGEST_FORCE = 100.0
 """N; a finger cannot press harder without injury, another unit can."""
@@ -413,17 +413,21 @@ def _stays(pressed: list[tuple[int, int]], areas: np.ndarray, end_ns: int) -> st
     )
 
 
-def length_fault(lengths: Sequence[float], period: float, remedy: str) -> str:
+def length_fault(
+    lengths: Sequence[float], period: float, remedy: str, frame_period: float = 0.0
+) -> str:
     """Say that no presses last so long (s), and what to do; empty where they may.
 
-    period: s between the samples of the force.
+    period: s between the samples of the force; frame_period: s between areas, 0 where unknown.
     """
     shortest, longest = min(lengths), max(lengths)
     if longest < SHORTEST_PRESS:
         return f"lasts {longest:.3g} s; {remedy}"
-    if shortest > LONGEST_PRESS or (shortest > LONG_PRESS and period > SLOW_FORCE):
+    slow = period > SLOW_FORCE or frame_period > SLOW_FRAMES
+    if shortest > LONGEST_PRESS or (shortest > LONG_PRESS and slow):
         return (
             f"lasts {shortest:.3g} s; {remedy}, or a press of up to {LONGEST_PRESS:g} s with two "
-            "samples of the force or more in each second"
+            "samples of the force or more in each second and an area every "
+            f"{SLOW_FRAMES:g} s or more often"
         )
     return ""

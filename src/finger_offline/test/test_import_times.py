@@ -42,6 +42,17 @@ def test_times_in_milliseconds_without_a_unit_are_refused(
         import_trial(ImportSettings(**files), tmp_path / "bag")
 
 
+def test_short_presses_at_2_khz_in_milliseconds_are_refused(
+    files: dict[str, str], tmp_path: Path
+) -> None:
+    """Presses of 0.75 s; their force alone could be that of long ones, their frames are too few."""
+    time = np.arange(0.0, 8.5, 1 / 600)
+    csv(Path(files["force"]), "time_s,force_n", 300.0 * time, force_at(time))
+    csv(Path(files["area"]), "time_s,area_mm2", 300.0 * FRAMES, area_at(FRAMES))
+    with pytest.raises(InputError, match=r"first press lasts 7\d\d s; .*--time-unit"):
+        import_trial(ImportSettings(**files), tmp_path / "bag")
+
+
 def test_times_in_minutes_are_read_and_those_in_unknown_units_refused(
     files: dict[str, str], tmp_path: Path
 ) -> None:

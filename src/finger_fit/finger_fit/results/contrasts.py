@@ -21,6 +21,9 @@ from .fits import ConditionFit
 FEWEST_SAMPLES = 40
 """Bootstrap samples below which the covariance is sampled instead."""
 
+FEWEST_PRESSES = 10
+"""So are presses of a condition: few of them, resampled, do not show how much they err."""
+
 DRAWS = 4000
 """Samples of a condition, drawn from its bootstrap or covariance."""
 
@@ -113,18 +116,19 @@ def _within(ends: np.ndarray, low: float, high: float) -> tuple[float, float]:
 def _logarithms(fit: ConditionFit, name: str) -> tuple[np.ndarray, str]:
     """Draws (`DRAWS`,) of a quantity's logarithm and where they come from.
 
-    Of the covariance, as the report's intervals are: linear in the logarithm of the quantity
-    itself, with Student's t for the errors of few presses. One that is drawn from its parameters is
-    skewed where the box holds one of them back, and of errors that are cut off at the box those
-    that two conditions share do not cancel. Row k of two conditions has the same errors of what
-    they share.
+    Of the bootstrap without nuisances and from `FEWEST_PRESSES` presses and `FEWEST_SAMPLES`
+    samples on; else of the covariance, as the report's intervals are: linear in the logarithm of
+    the quantity itself, with Student's t for the errors of few presses. One that is drawn from its
+    parameters is skewed where the box holds one of them back, and of errors that are cut off at the
+    box those that two conditions share do not cancel. Row k of two conditions has the same errors
+    of what they share.
     """
     assert fit.covariance is not None
     known, seed = fit.covariance.released, fit.problem.options.seed
     own = np.random.default_rng([seed, *fit.condition.encode()])
     # No resampling of the presses shows what they share: with nuisances, the covariance does.
-    samples = fit.samples
-    if samples is not None and len(samples) >= FEWEST_SAMPLES and fit.nuisance is None:
+    samples, many = fit.samples, len(fit.problem) >= FEWEST_PRESSES
+    if samples is not None and len(samples) >= FEWEST_SAMPLES and many and fit.nuisance is None:
         rows = own.integers(len(samples), size=DRAWS)
         return fit.space.log_quantity(name, samples[rows]), "bootstrap"
     drawn = own.standard_t(degrees_of_freedom(len(fit.problem)), DRAWS) * known.data_deviation(name)

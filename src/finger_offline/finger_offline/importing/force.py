@@ -143,7 +143,9 @@ def presses_in(
     last_row = len(stamps) - 1
     lengths = [seconds(int(stamps[min(b, last_row)] - stamps[a])) for a, b in chosen]
     period = seconds(int(np.median(np.diff(stamps))))
-    if fault := length_fault(lengths, period, "give the right --time-unit"):
+    frames = np.sort(np.concatenate([touched_ns, empty_ns]))
+    frame_period = seconds(int(np.median(np.diff(frames)))) if len(frames) > 1 else 0.0
+    if fault := length_fault(lengths, period, "give the right --time-unit", frame_period):
         raise InputError(f"{where}: the first press {fault}")
     return chosen
 
