@@ -49,7 +49,7 @@ def test_rounding_that_noise_exceeds_hides_no_saturation() -> None:
         np.round(noisy(HOLD, 0.5e-3) / NANO17) * NANO17,
         np.round(noisy(HOLD, 0.5e-3) / NANO17 + 0.45) * NANO17,
     ],
-    ids="hundredths singles negative noiseless clipped quiet_nano17 nano17 between_two_values".split(),
+    ids="hundredths singles negative noiseless clipped quiet_nano17 nano17 between".split(),
 )
 def test_a_quiet_hold_is_no_saturated_sensor(force: np.ndarray) -> None:
     coarse = found(force)
