@@ -337,7 +337,7 @@ def parser() -> argparse.ArgumentParser:
     recover = command(
         "recover",
         _recover,
-        "Write what can be read of a damaged bag into a complete one.",
+        "Copy everything that can be read from a damaged bag into a complete bag.",
         "finger-bag recover session1 -o session1_recovered",
     )
     recover.add_argument("bag", metavar="BAG")

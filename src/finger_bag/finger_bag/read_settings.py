@@ -24,7 +24,7 @@ class ReadSettings(Settings):
 
     mapping: TopicMapping = field(default_factory=TopicMapping)
     namespace: str = setting(
-        "", "Namespace of the rig's topics, where there are several; '/' for none."
+        "", "Namespace of the rig's topics, if there are several; '/' for none."
     )
     wrench_topic: str = setting("wrench", "Force to use: wrench, wrench_raw or an absolute name.")
     normal_axis: str = setting(

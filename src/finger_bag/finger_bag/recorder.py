@@ -60,7 +60,8 @@ class RecorderSettings(Settings):
     compression: str = setting("zstd", "Compression of chunks.", choices=("zstd", "lz4", "none"))
     flush_interval: float = setting(
         0.4,
-        "Longest time a message stays in the recorder; what a kill can lose.",
+        "Longest time that a message stays in the recorder. A recorder that is killed loses at "
+        "most this time.",
         unit="s",
         minimum=0.05,
         maximum=1.0,
@@ -80,7 +81,8 @@ class RecorderSettings(Settings):
     )
     queue_limit: int = setting(
         512 << 20,
-        "What may wait for the disk before messages are dropped and counted.",
+        "Size of the messages that may wait for the disk. Beyond it, messages are dropped and "
+        "counted.",
         unit="B",
         minimum=1 << 20,
     )

@@ -40,10 +40,10 @@ class ReplaySettings(Settings):
 
     rate: float = setting(1.0, "Speed; 2 is twice as fast.", minimum=1e-3, maximum=1e6)
     start: float = setting(
-        0.0, "Time after the begin of the bag to start at.", "s", minimum=0.0, maximum=LONGEST
+        0.0, "Start this long after the beginning of the bag.", "s", minimum=0.0, maximum=LONGEST
     )
     duration: float = setting(
-        0.0, "How much of the bag; 0: all.", "s", minimum=0.0, maximum=LONGEST
+        0.0, "Length of the part to play; 0: to the end.", "s", minimum=0.0, maximum=LONGEST
     )
     loop: bool = setting(False, "Begin again at the end.")
 

@@ -36,7 +36,7 @@ finger-rig up --simulated             # on simulated devices; page at http://127
 finger-rig up --parameters rig.yaml   # real devices, as the file describes them
 finger-rig up --fingers thumb index --compose --parameters hand.yaml   # fingers of a robot hand
 finger-rig up --simulated --namespace thumb   # a second rig beside the first
-finger-rig calibrate --subject S01    # nine guided presses on the rig that runs
+finger-rig calibrate --subject S01    # nine guided presses on the running rig
 finger-rig study --seed 1 --no-images -o out/study"""
 
 
@@ -86,8 +86,8 @@ def parser() -> argparse.ArgumentParser:
     up.add_argument(
         "--realtime",
         action="store_true",
-        help="with --compose: that process has real-time priority, so that no other program holds "
-        "up samples (Linux; needs the right to it)",
+        help="with --compose: that process has real-time priority, so that no other program delays "
+        "samples (Linux; needs the right to real-time priority)",
     )
     up.add_argument("--nodes", nargs="+", metavar="NODE", help="run only these nodes")
     up.add_argument(
@@ -148,13 +148,13 @@ def _add_calibrate(commands: Any) -> None:
         "calibrate",
         help="calibrate a subject by nine guided presses",
         description=(
-            "Guide nine presses on the rig that runs, fit them, and use the result in the model "
-            "node at once. It is kept in the model node's subjects_folder, as SUBJECT.yaml or with "
-            "--finger as SUBJECT.FINGER.yaml, and is used whenever a session of this finger "
-            "begins. With --width, the fit takes the lengths that 'finger-model geometry' makes of "
-            "the readings, and the file carries them. Ctrl-C during the presses ends the session, "
-            "and nothing is written; after the last press the model node fits and keeps them "
-            "anyway."
+            "Guide nine presses on the running rig, fit them, and use the result in the model "
+            "node at once. The result is kept in the model node's subjects_folder, as "
+            "SUBJECT.yaml or with --finger as SUBJECT.FINGER.yaml. It is used whenever a session "
+            "of this finger begins. With --width, the fit takes the lengths that 'finger-model "
+            "geometry' makes of the readings, and the file holds them. Ctrl-C during the presses "
+            "ends the session, and nothing is written. Ctrl-C after the last press does not stop "
+            "the model node: it fits the presses and keeps the result."
         ),
         example=(
             "finger-rig calibrate --subject S01\n"
@@ -172,20 +172,24 @@ def _add_calibrate(commands: Any) -> None:
     calibrate.add_argument("--age", type=int, metavar="YEARS", help="age of the subject")
     calibrate.add_argument("--finger", choices=FINGER_NAMES, help="finger that presses")
     calibrate.add_argument(
-        "--again", action="store_true", help="replace an earlier calibration, which is kept too"
+        "--again", action="store_true", help="replace an earlier calibration; its file is kept too"
     )
     calibrate.add_argument(
-        "--simulated", action="store_true", help="start a simulated rig with a participant for it"
+        "--simulated",
+        action="store_true",
+        help="start a simulated rig with a simulated participant",
     )
-    calibrate.add_argument("--namespace", help=f"of the rig (default: {DEFAULT_NAMESPACE})")
     calibrate.add_argument(
-        "--folder", type=Path, help="of the simulated rig (default: that of 'finger-rig up')"
+        "--namespace", help=f"namespace of the rig (default: {DEFAULT_NAMESPACE})"
+    )
+    calibrate.add_argument(
+        "--folder", type=Path, help="folder of the simulated rig (default: that of 'finger-rig up')"
     )
     calibrate.add_argument(
         "--parameters",
         type=Path,
         metavar="FILE",
-        help="of the simulated rig, as of 'finger-rig up'",
+        help="parameter file of the simulated rig, as for 'finger-rig up'",
     )
     calibrate.add_argument("--seed", type=int, help="seed of the simulated rig (default: 1)")
     calibrate.set_defaults(fingers=None)

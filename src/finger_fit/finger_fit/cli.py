@@ -91,15 +91,15 @@ def parser() -> argparse.ArgumentParser:
         action="append",
         metavar="[SUBJECT=]YAML",
         default=[],
-        help="geometry.yaml of the finger, from 'finger-model geometry'; of several subjects, "
+        help="geometry.yaml of the finger, from 'finger-model geometry'; with several subjects, "
         "SUBJECT=YAML for each (default: a typical finger, not measured)",
     )
     models.add_argument(
         "--law",
         metavar="NAME",
         default="",
-        help="another installed material law; one that is no sum of Maxwell branches is fitted "
-        "with the full-order model (slow)",
+        help="another installed material law; a law that is not a sum of Maxwell branches is "
+        "fitted with the full-order model (slow)",
     )
     add_settings(p, FitOptions)
     return p

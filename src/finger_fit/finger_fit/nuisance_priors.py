@@ -48,8 +48,8 @@ class NuisancePriors(Settings):
     )
     indentation_gain_sd: float = setting(
         0.0,
-        "Standard deviation of the prior of the displacement sensor's gain (logarithm); 0: it is "
-        "trusted.",
+        "Standard deviation of the prior of the displacement sensor's gain (logarithm); 0: the "
+        "gain is trusted.",
         "",
         0.0,
         0.5,
@@ -57,21 +57,26 @@ class NuisancePriors(Settings):
     )
     nuisances: bool = setting(
         True,
-        "Allow for what the rig and the finger's shape leave unknown: estimated with the "
-        "parameters, or included in their intervals.",
+        "Allow for unknown properties of the rig and of the finger's shape. They are estimated "
+        "with the parameters, or included in their intervals.",
         group=NUISANCE,
     )
     tare_sd: float = setting(
         0.02,
-        "Tare left in the force of trials that show no unloaded plate. Where they show it, the "
-        "tare is measured there.",
+        "Tare left in the force of trials that never show the plate unloaded. In other trials the "
+        "tare is measured on the unloaded plate.",
         "N",
         0.0,
         1.0,
         group=NUISANCE,
     )
     lag_sd: float = setting(
-        0.05, "Time by which the images' stamps are late.", "s", 0.0, 1.0, group=NUISANCE
+        0.05,
+        "Delay of the images' stamps behind those of the force.",
+        "s",
+        0.0,
+        1.0,
+        group=NUISANCE,
     )
     area_gain_sd: float = setting(
         0.05,
@@ -88,7 +93,8 @@ class NuisancePriors(Settings):
     )
     collapse_sd: float = setting(
         0.3,
-        "Share of the gross area that the image loses as the force goes to zero below low_force.",
+        "Share of the gross area that is missing in the image at zero force. It falls to none at "
+        "low_force.",
         "",
         0.0,
         1.0,
@@ -96,10 +102,11 @@ class NuisancePriors(Settings):
     )
     geometry_sd: list[str] = setting(
         [KNOWN],
-        "Relative deviation of lengths of the finger, as NAME=DEVIATION. A length that is not "
-        "named keeps the default: what the geometry states; calipers, where it states none; "
-        "without a geometry, a finger that nobody measured. 'calipers': as measured with calipers, "
-        "in any case. NAME=0 leaves a length out, an empty list leaves out all.",
+        "Relative deviations of lengths of the finger, as NAME=DEVIATION. A length that is not "
+        "named keeps its default: the deviation in the geometry file; if it has none, that of "
+        "calipers; without a geometry, that of a finger that nobody measured. 'calipers': as "
+        "measured with calipers, in any case. NAME=0 leaves a length out, an empty list leaves "
+        "out all.",
         group=NUISANCE,
     )
 

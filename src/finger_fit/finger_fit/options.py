@@ -46,7 +46,7 @@ class FitOptions(NuisancePriors):
 
     target_force: float = setting(
         0.0,
-        "Normal force that ends the loading; 0: that of each trial, as its bag says.",
+        "Normal force that ends the loading; 0: the target force of each trial in its bag.",
         "N",
         0.0,
         50.0,
@@ -100,8 +100,8 @@ class FitOptions(NuisancePriors):
     )
     bounds: list[str] = setting(
         [],
-        "Search box where it differs from the law's own, as NAME=LOW:HIGH with units, such as "
-        "E2=500kPa:3MPa; SI without.",
+        "Limits of the search box that replace those of the law, as NAME=LOW:HIGH with units, "
+        "such as E2=500kPa:3MPa; numbers without a unit are SI.",
         group=SEARCH,
     )
     grid: int = setting(
@@ -167,8 +167,8 @@ class FitOptions(NuisancePriors):
     )
     clusters: int = setting(
         3,
-        "Most moisture clusters to form when trials carry no condition; fewer where the readings "
-        "do not lie apart.",
+        "Largest number of moisture clusters for trials without a condition; fewer if the "
+        "readings do not lie far enough apart.",
         "",
         1,
         9,
@@ -178,7 +178,7 @@ class FitOptions(NuisancePriors):
         False, "Exclude trials without a moisture reading.", group=FRAMES
     )
     pool: bool = setting(
-        False, "Fit the presses of all subjects as if they were one finger's.", group=FRAMES
+        False, "Fit the presses of all subjects as if they came from one finger.", group=FRAMES
     )
     seed: int = setting(0, "Seed of every random choice.", "", 0, 2**31 - 1, group=SEARCH)
     vision: bool = setting(

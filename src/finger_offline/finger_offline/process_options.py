@@ -26,7 +26,7 @@ class ProcessOptions(ImageSettings, ReadSettings):
 
     images: str = setting(
         "auto",
-        "Measure areas in the images; auto: where contact_area is absent.",
+        "Measure areas in the images; auto: if contact_area is absent.",
         choices=("auto", "yes", "no"),
     )
     keep_images: bool = setting(False, "Copy images to the new bag.")

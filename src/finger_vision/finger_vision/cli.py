@@ -110,18 +110,24 @@ def _add_calibrate(commands: Any) -> None:
         type=Path,
         required=True,
         metavar="VIEW",
-        help="board flat on the plate",
+        help="images or bags with the board flat on the plate",
     )
     calibrate.add_argument("--board", choices=("checkerboard", "charuco"), default="checkerboard")
-    calibrate.add_argument("--columns", type=int, required=True, help="squares, not inner corners")
-    calibrate.add_argument("--rows", type=int, required=True, help="squares, not inner corners")
+    calibrate.add_argument(
+        "--columns", type=int, required=True, help="columns of squares, not inner corners"
+    )
+    calibrate.add_argument(
+        "--rows", type=int, required=True, help="rows of squares, not inner corners"
+    )
     calibrate.add_argument(
         "--square", type=float, required=True, metavar="M", help="side of a square, m"
     )
     calibrate.add_argument(
         "--marker", type=float, default=0.0, metavar="M", help="side of a marker, m"
     )
-    calibrate.add_argument("--dictionary", default=DICTIONARY, help=f"default {DICTIONARY}")
+    calibrate.add_argument(
+        "--dictionary", default=DICTIONARY, help=f"ArUco dictionary (default: {DICTIONARY})"
+    )
     calibrate.add_argument(
         "--no-lens",
         action="store_true",
@@ -130,7 +136,8 @@ def _add_calibrate(commands: Any) -> None:
     calibrate.add_argument(
         "--mirrored",
         action="store_true",
-        help="a mirror or prism mirrors the camera's picture; a ChArUco board tells it itself",
+        help="a mirror or prism mirrors the camera's picture; not needed with a ChArUco board, "
+        "which shows it",
     )
     calibrate.add_argument("--topic", default="image_raw", help="topic of the images in a bag")
     calibrate.add_argument(

@@ -124,7 +124,7 @@ class FtirSettings(Settings):
     )
     furrow_margin_saturated: float = setting(
         0.85,
-        "The same where the plate around the contact is saturated, which hides the faint rim.",
+        "The same, if the plate around the contact is saturated, which hides the faint rim.",
         minimum=0.0,
         maximum=2.0,
         advice="Set it to furrow_margin for the outline of what is visible.",

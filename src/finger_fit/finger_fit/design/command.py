@@ -51,7 +51,7 @@ def parser() -> Parser:
     """Arguments; the nuisances' priors are those of a fit."""
     p = Parser(
         prog="finger-fit design",
-        description="Expected standard deviations of the fitted quantities for plans of presses, "
+        description="Print the standard deviations that plans of presses are expected to give, "
         "without and with a measured indentation (--indentation-sd), and the power of a contrast "
         "of two conditions.",
         example=EXAMPLE,
@@ -65,18 +65,23 @@ def parser() -> Parser:
                          Plan.parameters())  # fmt: skip
     p.add_argument(
         "--plan", action="append", default=[], metavar="NAME:S=V,…|YAML",
-        help="a plan, or a file with the settings of one or, by their names, of several; "
-        f"repeatable (default: six of them). Settings: {settings}",
+        help="a plan, or a YAML file with the settings of one plan, or of several plans by name; "
+        f"repeatable (default: six plans). Settings: {settings}",
     )  # fmt: skip
     p.add_argument(
         "--wanted", default="", metavar="Q=D",
-        help="a relative standard deviation to reach, as in composite_E=0.1: how many presses",
+        help="relative standard deviation to reach, as in composite_E=0.1; prints the number of "
+        "presses for it",
     )  # fmt: skip
     p.add_argument(
         "--against", default="", metavar="C|N=V,…", help="second condition of a contrast"
     )
     p.add_argument(
-        "--subjects", type=int, default=10, metavar="N", help="of the contrast (default: 10)"
+        "--subjects",
+        type=int,
+        default=10,
+        metavar="N",
+        help="number of subjects of the contrast (default: 10)",
     )
     p.add_argument(
         "--between", type=float, default=0.2, metavar="SD",

@@ -58,9 +58,12 @@ def parser() -> Parser:
     )
     p.add_argument(
         "--quantity", action="append", default=[], metavar="Q",
-        help="a fitted quantity; repeatable (default: composite_E, E2, tau1, as the law has them)",
+        help="a fitted quantity; repeatable (default: those of composite_E, E2, tau1 that the law "
+            "has)",
     )  # fmt: skip
-    p.add_argument("--seed", type=int, default=0, metavar="N", help="of the draws (default: 0)")
+    p.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="seed of the draws (default: 0)"
+    )
     return p
 
 

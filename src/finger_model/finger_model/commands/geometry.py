@@ -18,7 +18,7 @@ from ..reduced.population import check_geometry
 
 READINGS = {
     "width": "width of the fingertip across the pad, at the middle of the nail",
-    "depth": "depth there, from the pad to the nail",
+    "depth": "depth at the same place, from the pad to the nail",
     "length": "length from the last crease to the tip",
     "nail-width": "width of the nail",
 }
@@ -32,8 +32,8 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         help="make geometry.yaml from a person's fingertip",
         description=(
             "Turn caliper readings of a fingertip into the lengths of the model, each with its\n"
-            "standard deviation. Readings that are left out are those of a typical finger.\n"
-            "Lengths take a unit: 14mm, 1.4cm, 0.014m; a plain 0.014 is in metres.\n\n"
+            "standard deviation. Readings that are left out are taken from a typical finger.\n"
+            "Give lengths with a unit: 14mm, 1.4cm, 0.014m. A plain 0.014 is in metres.\n\n"
             f"keys of geometry.yaml, all in m:\n{keys}"
         ),
         example=(

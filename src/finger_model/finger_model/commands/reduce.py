@@ -24,12 +24,16 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         description=(
             "Build the reduced model of a geometry from full-order runs, measure its error on "
             "held-out runs and write it. This takes some minutes. An interrupted build continues "
-            "where it stopped when the same command is given again; finished runs lie in "
-            "OUTPUT.parts until then."
+            "where it stopped when the same command is given again. Until then, finished runs are "
+            "kept in OUTPUT.parts."
         ),
         example="finger-model reduce --geometry geometry.yaml -o reduced.npz",
     )
-    parser.add_argument("--geometry", metavar="YAML", help="lengths in m (default: built in)")
+    parser.add_argument(
+        "--geometry",
+        metavar="YAML",
+        help="geometry.yaml of the finger (default: the default finger)",
+    )
     parser.add_argument("--workers", type=int, default=2, help="processes (default: 2)")
     parser.add_argument("-o", "--output", required=True, metavar="NPZ", help="file to write")
     add_settings(parser.add_argument_group("size and accuracy of the build"), BuildSettings)

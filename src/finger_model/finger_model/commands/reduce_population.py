@@ -24,11 +24,11 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         "reduce-population",
         help="build the reduced model of all fingers of the population box",
         description=(
-            "Build the reduced model that the package ships for every finger of the population "
-            "box, from full-order runs of random fingers, and measure its error on held-out runs. "
-            "This takes more than an hour on two cores. An interrupted build continues where it "
-            "stopped when the same command is given again; finished runs lie in OUTPUT.parts "
-            "until then."
+            "Build the reduced model for every finger of the population box. It is trained on "
+            "full-order runs of random fingers, and its error is measured on held-out runs. The "
+            "package ships one such model. This takes more than an hour on two cores. An "
+            "interrupted build continues where it stopped when the same command is given again. "
+            "Until then, finished runs are kept in OUTPUT.parts."
         ),
         example="finger-model reduce-population -o reduced_population.npz",
     )

@@ -41,12 +41,12 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
             "Simulate a finger under a force history. The input has the columns time_s,force_n, "
             "the output time_s,force_n,area_mm2,radius_mm,indentation_mm,peak_pressure_kpa with "
             "one row per input row. The finger is at rest before the first row. Without --solver "
-            "the reduced model is used where there is one for the geometry, material and load, "
-            "and the full-order model otherwise. A column tangential_force_n in the input, "
-            "--pad-aspect and --tilt-deg call for the full-order model in three dimensions "
-            "(seconds a row); its output has the columns semi_axis_a_mm, semi_axis_b_mm, "
-            "stick_ratio, slip_margin, tangential_displacement_mm, orientation_deg, center_x_mm, "
-            "center_y_mm besides (docs/third_dimension.md). With --solver reduced a column "
+            "the reduced model is used if there is one for the geometry, material and load, and "
+            "the full-order model otherwise. A column tangential_force_n in the input, "
+            "--pad-aspect and --tilt-deg need the full-order model in three dimensions (seconds a "
+            "row; docs/third_dimension.md). Its output also has the columns semi_axis_a_mm, "
+            "semi_axis_b_mm, stick_ratio, slip_margin, tangential_displacement_mm, "
+            "orientation_deg, center_x_mm, center_y_mm. With --solver reduced, a column "
             "tangential_force_n gives stick_ratio, slip_margin, tangential_displacement_mm at "
             "once, by the law of the live estimate (docs/slip.md)."
         ),
@@ -61,15 +61,19 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     )
     parser.add_argument("--force", required=True, metavar="CSV", help="columns time_s,force_n")
     model = parser.add_argument_group("finger and model")
-    model.add_argument("--geometry", metavar="YAML", help="lengths in m (default: built in)")
+    model.add_argument(
+        "--geometry",
+        metavar="YAML",
+        help="geometry.yaml of the finger (default: the default finger)",
+    )
     model.add_argument(
         "--material", metavar="YAML", help="law and parameters in SI (default: the natural set)"
     )
     model.add_argument(
         "--parameters",
         metavar="YAML",
-        help="parameters.yaml of a fit or a calibration, in place of --material: its law, its "
-        "lengths where it holds them, and one of its sets",
+        help="parameters.yaml of a fit or a calibration, in place of --material. It gives the law, "
+        "one of its parameter sets and, if it holds them, the lengths",
     )
     model.add_argument(
         "--condition", default="", metavar="C", help="with --parameters: the set of this condition"
@@ -78,7 +82,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         "--moisture",
         type=float,
         metavar="X",
-        help="with --parameters: its parameters at this reading of the probe (a.u.)",
+        help="with --parameters: the parameters at this reading of the moisture probe (a.u.)",
     )
     model.add_argument("--solver", choices=("reduced", "full"), help="model to use")
     model.add_argument(

@@ -23,24 +23,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--reduced-model", metavar="FILE", help="file to verify (default: shipped)")
     parser.add_argument(
-        "--pairs", type=int, default=204, help="pairs of parameters and history (default: 204)"
+        "--pairs",
+        type=int,
+        default=204,
+        help="number of pairs of parameter set and force history (default: 204)",
     )
     parser.add_argument(
-        "--wide", action="store_true", help="over the whole range of parameters and 0–3 N instead"
+        "--wide",
+        action="store_true",
+        help="with --reduced: test the whole range of parameters and 0–3 N instead",
     )
     parser.add_argument(
         "--branches",
         action="store_true",
-        help="for generalised Maxwell laws of 2 to 4 branches of 1 ms to 10 s instead",
+        help="with --reduced: test generalised Maxwell laws of 2 to 4 branches of 1 ms to 10 s "
+        "instead",
     )
     parser.add_argument(
         "--population",
         action="store_true",
-        help="for random fingers and laws of the population box instead",
+        help="with --reduced: test random fingers and laws of the population box instead",
     )
     parser.add_argument("--workers", type=int, default=2, help="processes (default: 2)")
     parser.add_argument(
-        "--error-plot", metavar="PNG", help="draw the distribution and the worst pair"
+        "--error-plot", metavar="PNG", help="draw the distribution of the errors and the worst pair"
     )
 
 

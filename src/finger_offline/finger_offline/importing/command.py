@@ -51,13 +51,14 @@ def add_command(add: AddCommand) -> None:
         "-o",
         "--output",
         required=True,
-        help="bag to write; the folder of bags with --trials and columns that tell trials apart",
+        help="bag to write; with --trials, --trial-column, --subject-column or --condition-column "
+        "the folder of the bags",
     )
     parser.add_argument(
         "--trials",
         metavar="FILE",
-        help="table with one recording per row; its columns are named as these options, with _ "
-        "for -, and paths are relative to it; the other options hold for every row",
+        help="table with one recording per row. Its columns have the names of these options, with "
+        "_ for -. Paths are relative to the table. The other options hold for every row",
     )
     add_settings(parser, ImportSettings)
 

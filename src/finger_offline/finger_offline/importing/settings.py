@@ -80,13 +80,14 @@ class ImportSettings(Settings):
     )
     normal_axis: str = setting(
         DEFAULT_NORMAL_AXIS,
-        "Of three force columns, the axis along which a pressing finger gives a positive force.",
+        "With three force columns, the axis along which a pressing finger gives a positive force.",
         choices=NORMAL_AXES,
         group=COLUMNS,
     )
     tare: float = setting(
         0.0,
-        "Subtract the mean force of the first seconds, without contact; 0: the force is tared.",
+        "Subtract the mean force of the first seconds, without contact; 0: the force is tared "
+        "already.",
         "s",
         0.0,
         600.0,
@@ -129,7 +130,7 @@ class ImportSettings(Settings):
     )
     indentation_time_offset: float = setting(
         0.0,
-        "Added to the times of the indentation, where its clock differs from the force's.",
+        "Added to the times of the indentation, if its clock differs from that of the force.",
         "s",
         -1e9,
         1e9,
@@ -145,7 +146,7 @@ class ImportSettings(Settings):
     )
     time_offset: float = setting(
         0.0,
-        "Added to the times of areas or images, where their clock differs from the force's.",
+        "Added to the times of areas or images, if their clock differs from that of the force.",
         "s",
         -1e9,
         1e9,
@@ -153,7 +154,7 @@ class ImportSettings(Settings):
     )
     force_rate: float = setting(
         0.0,
-        "Samples a second, where the table of the force has no times; 0: it has.",
+        "Samples a second, if the table of the force has no times; 0: the table has times.",
         "Hz",
         0.0,
         1e6,
@@ -161,8 +162,7 @@ class ImportSettings(Settings):
     )
     trial_column: str = setting(
         "",
-        "Column by which the tables hold several recordings, in rows of one value each: a bag for "
-        "every value.",
+        "Column that separates the recordings in tables with several: one bag for every value.",
         group=COLUMNS,
     )
     subject_column: str = setting(
@@ -182,8 +182,7 @@ class ImportSettings(Settings):
     calibration: str = setting("", "Plate calibration (finger-vision calibrate).", group=IMAGES)
     frame_rate: float = setting(
         0.0,
-        "Frames or areas a second, where neither the video nor a table has their times; 0: not "
-        "given.",
+        "Frames or areas a second, if neither the video nor a table has their times; 0: not given.",
         "Hz",
         0.0,
         1e5,
@@ -217,7 +216,7 @@ class ImportSettings(Settings):
     )
     start: str = setting(
         "2000-01-01",
-        "Date and time (UTC) of time 0, for times that are no dates themselves.",
+        "Date and time (UTC) of time 0, for times that are not dates.",
         group=ABOUT,
     )
 
