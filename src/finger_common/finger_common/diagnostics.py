@@ -3,9 +3,9 @@
 
 """Health of a source of data: rates, counters and faults, without ROS.
 
-A fault is reported for logging once when it begins, then only counted; it ends when the source
-calls `recovered`. The node turns a `Health` into a DiagnosticStatus once a second; whether samples
-come as fast as they should is judged then.
+A fault is reported for logging once when it begins, then only counted; it ends at once when the
+source calls `recovered`, and after HOLD when it calls `cleared`. The node turns a `Health` into a
+DiagnosticStatus once a second; whether samples come as fast as they should is judged then.
 """
 
 from __future__ import annotations
@@ -25,6 +25,9 @@ STARTING = "starting"
 
 MIXED_INPUT = "mixed_input"
 """Key of the fault that several nodes publish what one reads; numbers of samples mean nothing."""
+
+HOLD = 2.0
+"""s for which a fault that is absent, or has passed, is still shown."""
 
 _SILENCE = re.compile(r"no sample (yet|for [\d.]+ s)(: )?")
 """What the report of a silent source begins with."""
@@ -73,6 +76,17 @@ class HealthReport:
     news: tuple[int, str] = (OK, "")
 
 
+@dataclass
+class _Fault:
+    """A fault that is shown. noted: time when it was noted last. absent: whether it was not there
+    when looked for since."""
+
+    level: int
+    message: str
+    noted: float
+    absent: bool = False
+
+
 class Health:
     """Thread-safe counters and faults of one source.
 
@@ -105,7 +119,7 @@ class Health:
         self.last_error = ""
         self._clock = clock
         self._lock = threading.Lock()
-        self._faults: dict[str, tuple[int, str]] = {}
+        self._faults: dict[str, _Fault] = {}
         self._count = self._missed = 0
         self._number: int | None = None
         self._first_sample: float | None = None
@@ -150,19 +164,37 @@ class Health:
     def fault(self, key: str, message: str, level: int = ERROR) -> bool:
         """Note a fault; true when it is new, so that the caller logs it once."""
         with self._lock:
+            self._end_absent()
             new = key not in self._faults
-            self._faults[key] = (level, message)
+            self._faults[key] = _Fault(level, message, self._clock())
             self.counters[key] += 1
             self.last_error = message
             return new
 
-    def ease(self, key: str, message: str) -> bool:
-        """Have a fault shown as a warning that it is over; true when there is one."""
+    def cleared(self, *keys: str) -> None:
+        """These faults are absent now; each ends when it has not been noted for HOLD s.
+
+        A fault that comes and goes is logged once, and diagnostics once a second do not miss it.
+        """
+        for key in keys:
+            fault = self._faults.get(key)
+            if fault is not None:
+                fault.absent = True
+
+    def passed(self, key: str, message: str) -> bool:
+        """A fault is over: for HOLD s more the message is shown as a warning in its place. True
+        when there was one."""
         with self._lock:
             found = key in self._faults
             if found:
-                self._faults[key] = (WARN, message)
+                self._faults[key] = _Fault(WARN, message, self._clock(), absent=True)
             return found
+
+    def _end_absent(self) -> None:
+        now = self._clock()
+        for key, fault in list(self._faults.items()):
+            if fault.absent and now - fault.noted > HOLD:
+                del self._faults[key]
 
     def recovered(self, key: str | None = None) -> bool:
         """End one fault, or all; true when there was one to end."""
@@ -177,11 +209,13 @@ class Health:
     def faults(self) -> dict[str, str]:
         """Faults that last, by key."""
         with self._lock:
-            return {key: message for key, (_, message) in self._faults.items()}
+            self._end_absent()
+            return {key: fault.message for key, fault in self._faults.items()}
 
     def report(self) -> HealthReport:
         """State now; the measured rate is that since the last report, or the one before it."""
         with self._lock:
+            self._end_absent()
             now = self._clock()
             age = None if self._last_sample is None else now - self._last_sample
             silent = ""
@@ -196,8 +230,8 @@ class Health:
             if self.state == "active" and self.activity:
                 message = self.activity
             if self._faults:
-                faults = sorted(self._faults.values(), key=lambda fault: -fault[0])
-                level, message = faults[0][0], "; ".join(text for _, text in faults)
+                faults = sorted(self._faults.values(), key=lambda fault: -fault.level)
+                level, message = faults[0].level, "; ".join(fault.message for fault in faults)
             if silent and level < ERROR:
                 # What is wrong may explain the silence, but a warning would hide it.
                 message = f"{silent}: {message}" if level else silent
@@ -216,7 +250,7 @@ class Health:
 
     def _measure(self, now: float, silent: bool) -> tuple[float | None, tuple[int, str]]:
         """Rate (Hz) and what is to be logged of it; a wrong one is a fault from now on."""
-        told_otherwise = silent or any(level >= ERROR for level, _ in self._faults.values())
+        told_otherwise = silent or any(f.level >= ERROR for f in self._faults.values())
         if told_otherwise or self.state != "active":
             self._faults.pop("rate", None)
         if self._since is None or self._first_sample is None or now <= self._since[0]:
@@ -231,7 +265,7 @@ class Health:
             return rate, (OK, "")
         if abs(rate / expected - 1) > self.rate_tolerance:
             text = self._wrong_rate(rate, expected)
-            self._faults["rate"] = (WARN, text)
+            self._faults["rate"] = _Fault(WARN, text, now)
             self.counters["rate"] += 1
             self.last_error = text
             if now - self._first_sample > _START:

@@ -11,6 +11,7 @@ import pytest
 
 from finger_common.diagnostics import (
     ERROR,
+    HOLD,
     MIXED_INPUT,
     OK,
     WARN,
@@ -201,6 +202,30 @@ def test_a_fault_is_new_once_then_counted_until_it_ends() -> None:
     report = health.report()
     assert report.level == OK and report.values["last_error"] == "gauge 3 saturated"
     assert health.fault("saturated", "again"), "after recovery the fault is new again"
+
+
+def test_a_fault_that_comes_and_goes_is_new_once_and_stays_until_it_has_not_come_for_a_while() -> (
+    None
+):
+    clock = Clock()
+    health = source(clock)
+    news = []
+    for second in range(20):
+        clock.now = 0.5 * second
+        if second % 2:
+            health.cleared("frame")
+        else:
+            news.append(health.fault("frame", "another size", WARN))
+        assert health.report().level == WARN
+    assert news == [True] + [False] * 9
+    clock.now = 9.0 + HOLD
+    assert health.report().level == WARN
+    clock.now += 0.1
+    assert health.report().level == OK and not health.faults
+    assert health.fault("frame", "another size", WARN), "new again"
+    # Not looked for since: it lasts.
+    clock.now += 10 * HOLD
+    assert not health.fault("frame", "another size", WARN) and health.report().level == WARN
 
 
 def test_all_faults_are_shown_the_worst_first() -> None:

@@ -23,9 +23,6 @@ Sample = TypeVar("Sample")
 Log = Callable[[int, str], None]
 """Called with a level of `finger_common.diagnostics` (0 for information) and a sentence."""
 
-HOLD = 2.0
-"""Seconds for which a fault that has passed is still shown."""
-
 
 class Device(Generic[Sample]):
     """A source of samples.
@@ -46,8 +43,6 @@ class Device(Generic[Sample]):
         self.health = health
         self.clock = HostClock()
         self.log: Log = lambda level, message: None
-        self._noted: dict[str, float] = {}
-        self._absent: set[str] = set()
 
     def connect(self) -> None:
         """Open the device, check it, make it ready to be read."""
@@ -70,40 +65,12 @@ class Device(Generic[Sample]):
 
     def note(self, key: str, message: str, level: int = WARN) -> None:
         """Count a fault, and log it when it is new."""
-        self._noted[key] = time.monotonic()
-        self._absent.discard(key)
         if self.health.fault(key, message, level):
             self.log(level, message)
 
     def cleared(self, *keys: str) -> None:
-        """These faults are absent now; each ends when it has not been noted for HOLD s.
-
-        A fault that comes and goes is logged once, and diagnostics once a second do not miss it.
-        """
-        for key in keys:
-            if key in self._noted:
-                self._absent.add(key)
-                self._end(key)
-
-    def passed(self, key: str, message: str) -> bool:
-        """A fault is over: for HOLD s more the message is shown as a warning in its place. True
-        when there was one."""
-        found = self.health.ease(key, message)
-        if found:
-            self._noted[key] = time.monotonic()
-            self._absent.add(key)
-        return found
-
-    def end_passed(self) -> None:
-        """End the faults that were absent when looked for last, and have been shown for HOLD s."""
-        for key in list(self._absent):
-            self._end(key)
-
-    def _end(self, key: str) -> None:
-        if time.monotonic() - self._noted.get(key, 0.0) > HOLD:
-            self._noted.pop(key, None)
-            self._absent.discard(key)
-            self.health.recovered(key)
+        """These faults are absent now, see `Health.cleared`."""
+        self.health.cleared(*keys)
 
     def note_if(self, present: bool, key: str, message: str) -> None:
         """Note a fault that is present, clear one that is absent."""
@@ -194,7 +161,7 @@ class DeviceThread(Generic[Sample]):
                     connected = True
                     device.cleared("internal", "close")
                     device.health.count("reconnects")
-                    if device.passed("connection", f"connected again after: {lost}"):
+                    if device.health.passed("connection", f"connected again after: {lost}"):
                         device.log(0, f"{device.health.name}: connected again")
                     self._on_connected_again()
                 polled = device.polled()

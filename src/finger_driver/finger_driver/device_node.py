@@ -142,5 +142,4 @@ class DeviceNode(ManagedNode):
             health.notes.update(self._statistics.notes())
             warning = self.device.clock.step_warning("stamps")
             self.device.note_if(bool(warning), "clock_step", warning)
-            self.device.end_passed()
         super().publish_diagnostics()

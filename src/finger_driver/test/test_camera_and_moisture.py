@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 import pytest
 
-import finger_driver.device
+from finger_common import diagnostics
 from finger_common.errors import DeviceError, InputError
 from finger_common.host_clock import HostClock
 from finger_driver import camera, moisture
@@ -245,7 +245,7 @@ def test_an_exposure_that_may_change_or_has_changed_is_told(
     exposure: float, first: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(opencv, "_WATCHED", 0.02)
-    monkeypatch.setattr(finger_driver.device, "HOLD", 0.05)
+    monkeypatch.setattr(diagnostics, "HOLD", 0.05)
     capture = Exposed()
     settings = OpenCvSettings(path="0", rate=50.0, exposure=exposure)
     source = OpenCvSource(settings, opener=lambda path: (capture, True))

@@ -11,11 +11,11 @@ from collections.abc import Callable, Iterator
 import pytest
 from waiting import wait_until
 
+from finger_common import diagnostics
 from finger_common.diagnostics import WARN, Health
 from finger_common.errors import DeviceError
 from finger_common.retry import Pauses
 from finger_common.settings import Settings
-from finger_driver import device as module
 from finger_driver.device import Device, DeviceThread
 from finger_driver.force.source import ForceSettings, ForceSource
 
@@ -68,28 +68,27 @@ def test_a_slow_sensor_is_not_taken_for_silent(rate: float, silence: float) -> N
 def test_a_device_lost_before_reading_begins_is_connected_again(
     read: Callable[..., DeviceThread], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, "HOLD", 0.2)
+    monkeypatch.setattr(diagnostics, "HOLD", 0.2)
     device, samples = Counting(), []
     device.lost = True
     thread = read(device, samples.append)
     wait_until(lambda: len(samples) > 3, "samples")
-    wait_until(lambda: not (device.end_passed(), device.health.faults)[1], "no fault")
+    wait_until(lambda: not device.health.faults, "no fault")
     assert thread.running and device.health.counters["reconnects"] == 1
 
 
 def test_a_short_loss_is_still_told_as_a_warning_when_it_is_over(
-    read: Callable[..., DeviceThread], monkeypatch: pytest.MonkeyPatch
+    read: Callable[..., DeviceThread],
 ) -> None:
     """Diagnostics are sent once a second; the loss ends within hundredths of one."""
     device, samples, now = Counting(), [], [100.0]
-    monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
+    device.health._clock = lambda: now[0]
     device.lost = True
     read(device, samples.append)
     while len(samples) < 3:
         time.sleep(0.005)
-    for age, shown in ((0.0, True), (module.HOLD - 0.1, True), (module.HOLD + 0.1, False)):
-        now[0] = 100.0 + age
-        device.end_passed()
+    for age, shown in ((-2.0, True), (-0.1, True), (0.1, False)):
+        now[0] = 100.0 + diagnostics.HOLD + age
         report = device.health.report()
         assert (report.level == WARN) is shown and report.level <= WARN
         assert ("connected again after: no answer" in report.message) is shown
@@ -145,7 +144,7 @@ def test_a_device_whose_driver_has_a_defect_is_connected_again(
 def test_an_error_in_the_node_is_forgotten_when_samples_are_taken_again(
     read: Callable[..., DeviceThread], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, "HOLD", 0.2)
+    monkeypatch.setattr(diagnostics, "HOLD", 0.2)
     device, samples = Counting(), []
 
     def take(sample: int) -> None:
@@ -160,14 +159,12 @@ def test_an_error_in_the_node_is_forgotten_when_samples_are_taken_again(
 
 def test_a_fault_ends_though_nothing_comes_after_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """As of a probe whose next reading is minutes away."""
-    monkeypatch.setattr(module, "HOLD", 0.1)
+    monkeypatch.setattr(diagnostics, "HOLD", 0.1)
     device = Counting()
     device.note("malformed", "a bad line")
     device.cleared("malformed")
-    device.end_passed()
     assert device.health.faults
-    wait_until(lambda: not (device.end_passed(), device.health.faults)[1], "no fault")
+    wait_until(lambda: not device.health.faults, "no fault")
     device.note("malformed", "a bad line")
     time.sleep(0.15)
-    device.end_passed()
     assert device.health.faults, "it was not absent since"

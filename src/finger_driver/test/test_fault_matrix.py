@@ -33,7 +33,7 @@ rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 from geometry_msgs.msg import WrenchStamped  # noqa: E402
 from rclpy.serialization import deserialize_message  # noqa: E402
 
-import finger_driver.device  # noqa: E402
+from finger_common import diagnostics  # noqa: E402
 from finger_common.stamps import header_stamp  # noqa: E402
 from finger_driver import can_bus  # noqa: E402
 from finger_driver.protocols.netcanoem import CRITICAL_BITS  # noqa: E402
@@ -105,7 +105,6 @@ class NodeUnderTest:
 
     def _watch(self) -> None:
         while not self._ending.wait(0.05):
-            self.node.device.end_passed()
             report = self.node.device.health.report()
             self.reports.append((time.monotonic(), report.level, report.message, report.values))
 
@@ -151,7 +150,7 @@ def domain(free_ros_domain: Callable[[], int]) -> Iterator[int]:
         patch.setenv("ROS_DOMAIN_ID", str(number))
         patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         # A fault that has passed is shown for two seconds; here the next test waits for its end.
-        patch.setattr(finger_driver.device, "HOLD", 0.3)
+        patch.setattr(diagnostics, "HOLD", 0.3)
         yield number
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from can.interfaces.udp_multicast import UdpMulticastBus
 
-import finger_driver.device
+from finger_common import diagnostics
 from finger_common.errors import DeviceError
 from finger_driver.can_bus import discard_waiting, frame, open_bus, parse_options
 from finger_driver.force import GOOD, SATURATED, open_source
@@ -614,7 +614,7 @@ def test_units_that_old_firmware_does_not_tell_are_those_set_or_a_warning_stands
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The calibration is in lbf and lbf-in, as that of many transducers."""
-    monkeypatch.setattr(finger_driver.device, "HOLD", 0.0)
+    monkeypatch.setattr(diagnostics, "HOLD", 0.0)
     truth = np.array([1.0, -2.0, 3.0, 0.004, 0.005, -0.006])
     calibration = replace(default_calibration(), force_unit=1, torque_unit=1)
     bus, simulator = board(

@@ -21,7 +21,7 @@ import pytest
 from device_process import device, netft_settings
 from waiting import wait_until
 
-import finger_driver.device
+from finger_common import diagnostics
 from finger_common.errors import DeviceError, InputError
 from finger_common.host_clock import HostClock
 from finger_driver.can_bus import frame, open_bus
@@ -443,7 +443,7 @@ def test_a_page_that_cannot_be_read_is_told(
     box: NetFtSimulator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(netft, "_CHECK_PERIOD", 0.01)
-    monkeypatch.setattr(finger_driver.device, "HOLD", 0.1)
+    monkeypatch.setattr(diagnostics, "HOLD", 0.1)
     source = of_box(box)
 
     def read_until(told: bool) -> None:

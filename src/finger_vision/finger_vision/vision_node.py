@@ -218,7 +218,7 @@ class VisionNode(ManagedNode):
     def _measure(self, message: Picture) -> None:
         with self._lock:
             image = self._stream.signal(image_of(message))
-            self.health.recovered("frozen")
+            self.health.cleared("frozen")
             self._check_bits()
             if self._take_plate:
                 self.sensor.learn(image)
@@ -231,15 +231,14 @@ class VisionNode(ManagedNode):
         self._areas.publish(area)
         self.health.sample()
         self.health.notes["background_frames"] = str(learned)
-        for fault in ("light", "frame", "failure"):
-            self.health.recovered(fault)
+        self.health.cleared("light", "frame", "failure")
         if measurement.flags & AreaFlag.NO_CONTACT:
             self.health.count("without_contact")
         text = self._doubt(measurement, stamp_of(message.header.stamp))
         if text:
             self.log_fault(self.health, "contrast", text, WARN)
         else:
-            self.health.recovered("contrast")
+            self.health.cleared("contrast")
         if self._overlays.get_subscription_count() > 0:
             picture = draw_overlay(image, measurement, self.calibration)
             overlay = Image(
@@ -372,6 +371,7 @@ class VisionNode(ManagedNode):
             self._stream.reset()
             self._take_plate = self._stands
             self._still, self._stands = None, False
+            self.health.recovered("contrast")
         response.success = True
         response.message = "background forgotten; it is learned again from " + (
             "the next image, with the contact that had not changed"

@@ -219,7 +219,7 @@ def stamped(picture: np.ndarray, stamp_ns: int, encoding: str = "mono8") -> Imag
 
 
 def test_a_frozen_camera_gives_the_same_areas_live_and_offline_and_is_told(
-    ros_domain: int, tmp_path: Path
+    ros_domain: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """New stamps on the same pixels are no new areas."""
     from finger_common.image_size import PixelBudget
@@ -257,8 +257,51 @@ def test_a_frozen_camera_gives_the_same_areas_live_and_offline_and_is_told(
         found = offline.table()
         assert live == list(zip(found["area"], found["sd"], found["flags"]))
         assert len(live) == 8
+        monkeypatch.setattr("finger_common.diagnostics.HOLD", 0.0)
         work([stamped(renderer.render(4e-3), 10**12 + 10**10)])
         assert "frozen" not in node.health.faults and len(areas) == 9
+
+
+@pytest.mark.parametrize("bad", ["of another size", "cut short", "overexposed", "a failure"])
+def test_every_second_image_that_cannot_be_used_is_told_once_and_until_none_comes(
+    ros_domain: int, monkeypatch: pytest.MonkeyPatch, bad: str
+) -> None:
+    renderer = FtirRenderer("natural", seed=3, scene=Scene(), width=640, height=480)
+    empty = renderer.empty()
+    with node_here(ros_domain) as node:
+        assert node.bring_up()
+        seconds, said = 100.0, []
+        node.health._clock = lambda: seconds
+        monkeypatch.setattr(node, "log", lambda level, text: said.append(text))
+        measure = node._stream.measure
+
+        def fail_at_times(image: np.ndarray, learn: bool) -> Any:
+            if bad == "a failure" and round(10 * seconds) % 2:
+                raise ValueError("a defect")
+            return measure(image, learn)
+
+        monkeypatch.setattr(node._stream, "measure", fail_at_times)
+        levels = []
+        for number in range(60):
+            seconds = 100.0 + 0.1 * number
+            image = stamped(empty + np.uint8(number % 3), 10**12 + number * 10**8)
+            if number % 2 and number < 30:
+                if bad == "of another size":
+                    image = stamped(empty[::2, ::2].copy(), 10**12 + number * 10**8)
+                elif bad == "cut short":
+                    image.data = image.data[:-1000]
+                elif bad == "overexposed":
+                    image.data = bytes(255 - (k % 100 == number) for k in range(empty.size))
+            elif number >= 30:
+                bad = ""
+            waiting: queue.Queue[Image | None] = queue.Queue()
+            waiting.put(image)
+            waiting.put(None)
+            node._work(waiting)
+            levels.append(node.health.report().level > 0)
+        # The last bad image is number 29.
+        assert levels == [False] + [True] * 49 + [False] * 10
+        assert len(said) == 1, said
 
 
 def test_compressed_images_give_the_areas_of_the_raw_ones(ros_domain: int, tmp_path: Path) -> None:
