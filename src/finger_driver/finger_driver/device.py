@@ -102,6 +102,8 @@ class DeviceThread(Generic[Sample]):
         self._on_connected_again = on_connected_again
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
+        self._lost = ""
+        """Why the device was lost, until it is seen to work again."""
 
     def connect(self, seconds: float) -> None:
         """Connect, trying again until `seconds` have passed; raises the last DeviceError, and at
@@ -150,7 +152,7 @@ class DeviceThread(Generic[Sample]):
         return self._thread is not None and self._thread.is_alive()
 
     def _run(self) -> None:
-        device, connected, flushed, lost = self._device, True, False, ""
+        device, connected, flushed = self._device, True, False
         while not self._stop.is_set():
             try:
                 if not flushed:
@@ -159,30 +161,31 @@ class DeviceThread(Generic[Sample]):
                 if not connected:
                     device.connect()
                     connected = True
-                    device.cleared("internal", "close")
                     device.health.count("reconnects")
-                    if device.health.passed("connection", f"connected again after: {lost}"):
-                        device.log(0, f"{device.health.name}: connected again")
                     self._on_connected_again()
                 polled = device.polled()
                 if polled is not None:
                     SHARED.serve(polled, self._deliver, self._stop.is_set)
                     continue
                 sample = device.read(0.1)
-                rest = None if sample is None else self._deliver(sample)
+                if sample is None:
+                    if device.health.stale_after is None:  # its next one may be minutes away
+                        self._works()
+                    continue
+                rest = self._deliver(sample)
                 if rest is not None:
                     rest()
             except FingerError as error:
-                connected, lost = False, one_line(error)
-                device.note("connection", lost, ERROR)
+                connected, self._lost = False, one_line(error)
+                device.note("connection", self._lost, ERROR)
                 self._close()
                 self._stop.wait(self._pauses.next())
             except Exception as error:
                 # A defect of the program: a dead thread would fail silently.
                 if self._stop.is_set():
                     return
-                connected, lost = False, f"{type(error).__name__}: {one_line(error)}"
-                device.note("internal", lost, ERROR)
+                connected, self._lost = False, f"{type(error).__name__}: {one_line(error)}"
+                device.note("internal", self._lost, ERROR)
                 self._close()
                 self._stop.wait(self._pauses.next())
 
@@ -197,5 +200,14 @@ class DeviceThread(Generic[Sample]):
     def _deliver(self, sample: Sample) -> Rest | None:
         self._pauses.reset()
         rest = self._on_sample(sample)
-        self._device.cleared("internal")
+        self._works()
         return rest
+
+    def _works(self) -> None:
+        """The device was read without a failure; a device that only connects may not work."""
+        if not self._lost:
+            return
+        lost, self._lost, health = self._lost, "", self._device.health
+        health.cleared("internal", "close")
+        if health.passed("connection", f"connected again after: {lost}"):
+            self._device.log(0, f"{health.name}: connected again")

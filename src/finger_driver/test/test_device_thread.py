@@ -12,7 +12,7 @@ import pytest
 from waiting import wait_until
 
 from finger_common import diagnostics
-from finger_common.diagnostics import WARN, Health
+from finger_common.diagnostics import ERROR, WARN, Health
 from finger_common.errors import DeviceError
 from finger_common.retry import Pauses
 from finger_common.settings import Settings
@@ -92,6 +92,61 @@ def test_a_short_loss_is_still_told_as_a_warning_when_it_is_over(
         report = device.health.report()
         assert (report.level == WARN) is shown and report.level <= WARN
         assert ("connected again after: no answer" in report.message) is shown
+
+
+@pytest.mark.parametrize("kind", ["silent camera", "broken port"])
+def test_a_device_that_connects_and_does_not_work_is_not_called_connected_again(
+    read: Callable[..., DeviceThread], kind: str
+) -> None:
+    """A camera that opens and sends nothing, a port that opens and cannot be read: while it lasts,
+    longer than a fault that has passed is shown, one line says so."""
+
+    class Broken(Counting):
+        broken = False
+
+        def read(self, timeout: float) -> int | None:
+            sample = super().read(timeout)
+            if not self.broken:
+                return sample
+            now[0] += 3.0
+            if kind == "silent camera" and self.number % 2:
+                return None
+            raise (DeviceError if self.number % 3 else OSError)("nothing comes")
+
+    device, samples, said, now = Broken(), [], [], [100.0]
+    device.health._clock = lambda: now[0]
+    if kind == "silent camera":
+        device.health.stale_after = 1e9
+    device.log = lambda level, text: said.append(text)
+    read(device, samples.append)
+    wait_until(lambda: samples, "samples")
+    device.broken = True
+    wait_until(lambda: device.health.counters["reconnects"] > 9, "attempts")
+    assert sorted(said) == ["OSError: nothing comes", "nothing comes"]
+    assert device.health.report().level == ERROR
+    samples.clear()
+    device.broken = False
+    wait_until(lambda: samples, "samples")
+    wait_until(lambda: len(said) > 2, "the end")
+    assert said[2:] == ["counting: connected again"]
+    assert "connected again after: " in device.health.faults["connection"]
+
+
+def test_a_probe_is_connected_again_before_its_next_reading(
+    read: Callable[..., DeviceThread],
+) -> None:
+    class Probe(Counting):
+        def read(self, timeout: float) -> int | None:
+            super().read(timeout)
+            return None
+
+    device, said = Probe(), []
+    device.log = lambda level, text: said.append(text)
+    device.lost = True
+    read(device, lambda sample: None)
+    wait_until(lambda: len(said) > 1, "the end of the loss")
+    assert said == ["no answer", "counting: connected again"]
+    assert device.health.report().level == WARN
 
 
 def test_a_device_that_fails_while_it_is_closed_is_connected_again(
