@@ -769,7 +769,42 @@ def test_bytes_without_an_end_of_line_are_told(adapter: Any, data: bytes) -> Non
     source._line_began -= 5.0
     assert send(data) is None
     assert "without an end of line" in source.health.faults["malformed"]
-    assert send(b"\n") is None and send(b"42.0\n").value == 42.0
+    assert send(b"\n") is None and send(b"42.0\n", later=0.1).value == 42.0
+
+
+def all_sent(source: SerialSource, send: Callable[..., Reading | None], data: bytes) -> list[float]:
+    """Values of the readings in bytes that come at once."""
+    found, reading = [], send(data)
+    while reading is not None:
+        found.append(reading.value)
+        reading = source.read(0.01)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("data", "values"),
+    [
+        # A wrong baud rate, or a loose contact.
+        (b"\x00\x1e3\xfe7\r3\r\x80\x00\r9\r7\n", []),
+        (b"\x00\x1e\x06\r3\r", []),
+        (b"1" * 300 + b"\r\n3\r\n", []),
+        # A letter before the number shows that the line is one.
+        (b"\xfe7\r\nM=41.0;before\r\n43.0\r\n", [41.0, 43.0]),
+        # One byte was disturbed in a stream without silences.
+        (b"41\r\n4\xb2\r\n43\r\n44\r\n45\r\n46\r\n47\r\n", [41.0, 46.0, 47.0]),
+        # Text that is none of the probe's readings is no garbage.
+        (b"adapter ready\ttime 0\r\n42.0\r\n", [42.0]),
+    ],
+)
+def test_numbers_right_after_garbage_are_no_readings(
+    adapter: Any, data: bytes, values: list[float]
+) -> None:
+    source, send = adapter
+    assert all_sent(source, send, data) == values
+    assert "malformed" in source.health.faults
+    # A probe that sends one number now and then loses none.
+    for value in (44.0, 45.0):
+        assert send(b"%.1f\r\n" % value, later=1.0).value == value
 
 
 def test_exports_in_the_forms_that_spreadsheets_write() -> None:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import termios
 import time
 from collections import deque
@@ -24,7 +25,13 @@ _LINE_TIME = 0.5
 _LONGEST_LINE = 5.0
 """Seconds for which bytes may come without an end of line."""
 _SILENCE = 0.05
-"""Seconds of silence before a line; what comes sooner after connecting may be the rest of one."""
+"""Seconds of silence before a line; what comes sooner after connecting may be the rest of one, and
+after a line that is not text it may be garbage, too."""
+_DOUBTED = 3
+"""Bare numbers that may be garbage, after a line that is not text and without a silence between;
+garbage makes hardly so many one after the other."""
+_NO_TEXT = re.compile(r"[^\t -~]")
+"""What is not in lines of text."""
 _LOOK = 0.02
 """Seconds between looks for bytes, within which silence is noticed."""
 
@@ -52,7 +59,8 @@ class SerialSource(MoistureSource):
 
     Each must match a pattern with a group `value` and perhaps a group `phase` (before, after). What
     may be the rest of a line, after connecting or a break, is a reading only where something stands
-    before its value: "2.0" may be the end of "42.0", "M=2.0" is not.
+    before its value: "2.0" may be the end of "42.0", "M=2.0" is not. So it is with numbers that
+    follow a line that is not text at once, as a wrong baud rate or a loose contact makes them.
     """
 
     NAME = "serial"
@@ -66,8 +74,10 @@ class SerialSource(MoistureSource):
         self._pattern = lines.compile_pattern(settings.serial_pattern)
         self._port: serial.Serial | None = None
         self._splitter = lines.LineSplitter()
-        self._ready: deque[tuple[int, str, bool]] = deque()
-        """Time of arrival (ns), text and wholeness of lines."""
+        self._ready: deque[tuple[int, str | None, bool]] = deque()
+        """Time of arrival (ns), text and wholeness of lines, as of `LineSplitter.feed`."""
+        self._doubted = 0
+        """Number of bare numbers to come that may be garbage."""
         self._last_byte = self._line_began = 0.0
 
     def connect(self) -> None:
@@ -144,8 +154,10 @@ class SerialSource(MoistureSource):
         if not waiting and splitter.unfinished and silent > _LINE_TIME:
             splitter.reset(within=True)
             self.note("malformed", "a line broke off in the middle; it is left out")
-        elif not waiting and not self._heard and silent > _SILENCE:
-            splitter.reset()
+        elif not waiting and not splitter.unfinished and silent > _SILENCE:
+            self._doubted = 0
+            if not self._heard:
+                splitter.reset()
         try:
             self._port.timeout = min(timeout, _LOOK)
             data = self._port.read(max(1, min(waiting, 4096)))
@@ -164,20 +176,27 @@ class SerialSource(MoistureSource):
                 "bytes come without an end of line (CR or LF); check the baud rate and what ends "
                 "a line",
             )
-        dropped = splitter.dropped
         self._ready.extend((stamp, *line) for line in splitter.feed(data))
-        for _ in range(splitter.dropped - dropped):
-            self.note("malformed", "a line is too long or not ASCII text; check the baud rate")
 
-    def _parse(self, stamp: int, line: str, whole: bool) -> Reading | None:
-        parsed = lines.parse_line(line, self._pattern)
-        if not whole and (parsed is None or parsed.bare):
+    def _parse(self, stamp: int, line: str | None, whole: bool) -> Reading | None:
+        parsed = None if line is None else lines.parse_line(line, self._pattern)
+        if parsed is not None and not parsed.bare:
+            self._doubted = 0
+        elif parsed is not None and (self._doubted or not whole):
+            self._doubted = max(self._doubted - 1, 0)
             self.health.count("partial")
             return None
-        if parsed is None:
+        if parsed is not None:
+            self.cleared("malformed")
+            return self.reading(stamp, parsed.value, PHASES.get(parsed.phase, PHASE_UNKNOWN))
+        if line is None or _NO_TEXT.search(line):
+            self._doubted = _DOUBTED
+        if not whole:
+            self.health.count("partial")
+        elif line is None:
+            self.note("malformed", "a line is too long or not ASCII text; check the baud rate")
+        else:
             self.note(
                 "malformed", f"line {line[:40]!r} does not match serial_pattern; it is left out"
             )
-            return None
-        self.cleared("malformed")
-        return self.reading(stamp, parsed.value, PHASES.get(parsed.phase, PHASE_UNKNOWN))
+        return None

@@ -67,20 +67,18 @@ class LineSplitter:
 
     def __init__(self) -> None:
         self._rest, self._within = b"", False
-        self.dropped = 0
-        """Whole lines left out because they were too long or not ASCII."""
 
-    def feed(self, data: bytes) -> list[tuple[str, bool]]:
-        """Lines that are complete now, without their ends (CR, LF or both), each with whether it is
-        whole: no beginning of it was missed."""
+    def feed(self, data: bytes) -> list[tuple[str | None, bool]]:
+        """Lines that are complete now, without their ends (CR, LF or both), None for one that is
+        too long or not ASCII; each with whether it is whole: no beginning of it was missed."""
         *lines, rest = re.split(rb"[\r\n]", self._rest + data)
         # One byte too many is enough to know that the line is too long when it ends.
         self._rest = rest[: MAX_LINE + 1]
-        found = []
+        found: list[tuple[str | None, bool]] = []
         for line in lines:
             whole, self._within = not self._within, False
             if len(line) > MAX_LINE or not line.isascii():
-                self.dropped += whole
+                found.append((None, whole))
             elif line:
                 found.append((line.decode("ascii"), whole))
         return found
