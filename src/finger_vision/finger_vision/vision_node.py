@@ -51,6 +51,10 @@ STILL, STILL_SDS, STILL_SHARE = 5 * NANOSECONDS, 3.0, 0.03
 many standard deviations of its area; any other, while no background was learned, by this share of
 its real area: noise of 8 greys changes that of marks by 0 to 2.9 %."""
 
+JUMP, JUMP_PERIODS = NANOSECONDS, 5
+"""A step from one image's stamp to the next that is longer than both, in ns and in steps before it,
+is a pause of the camera or a jump of its clock: whether a contact changed meanwhile is unknown."""
+
 DARK_IMAGES = 100
 """16-bit images in the lower bits, and none in the upper ones, after which it is said."""
 
@@ -121,6 +125,9 @@ class VisionNode(ManagedNode):
         """Numbers of images with wrong stamps, and without one, that were told until now."""
         self._still: tuple[int, ContactMeasurement] | None = None
         """Stamp (ns) of the contact that has not changed since then, and itself."""
+        self._last_stamp: int | None = None
+        self._step: int | None = None
+        """Stamp of the newest image that was measured, and its step from the one before it (ns)."""
         self._stands = False
         """Whether a contact has not changed for long, and no background was learned."""
         self._take_plate = False
@@ -256,6 +263,7 @@ class VisionNode(ManagedNode):
         (ns); empty where there is nothing."""
         still, self._still = self._still, None
         self._stands = False
+        jumped = self._jumped(stamp)
         if measurement.flags & PALE_PRINT == PALE_PRINT:
             return (
                 "no contact can be seen: the plate is too dark, a print is too pale, or an earlier "
@@ -264,7 +272,7 @@ class VisionNode(ManagedNode):
             )
         if measurement.flags & AreaFlag.NO_CONTACT:
             return ""
-        if still is None or stamp < still[0] or not _unchanged(measurement, still[1]):
+        if still is None or jumped or not _unchanged(measurement, still[1]):
             still = stamp, measurement
         self._still = still
         if stamp - still[0] <= STILL:
@@ -281,6 +289,15 @@ class VisionNode(ManagedNode):
             f"a contact of low contrast has not changed for {seconds:.0f} s; where no finger "
             "presses, sweat or dirt counts as one: clean the plate, then call ~/reset"
         )
+
+    def _jumped(self, stamp: int) -> bool:
+        """Whether the stamp (ns) of the next image goes back, or far ahead, for its camera."""
+        before, self._last_stamp = self._last_stamp, stamp
+        if before is None:
+            return False
+        period, self._step = self._step, stamp - before
+        far = period is not None and self._step > max(JUMP, JUMP_PERIODS * period)
+        return self._step < 0 or far
 
     def _check_bits(self) -> None:
         """Warn of images that have used the lower of 16 bits only; a dark plate may do so, too."""

@@ -168,6 +168,32 @@ def test_a_finger_that_is_on_the_plate_from_the_start_is_not_taken_for_marks(
         assert node.sensor.learned == 0
 
 
+@pytest.mark.parametrize("jump", [-3 * 3600, 3 * 3600, None, 4])
+def test_a_finger_is_not_said_to_stand_still_over_a_jump_of_the_clock(
+    ros_domain: int, jump: int | None
+) -> None:
+    """Stamps of 2 s, those of another clock (None: none), and the first ones again."""
+    renderer = FtirRenderer("natural", seed=3, scene=Scene(), width=640, height=480)
+
+    with node_here(ros_domain) as node:
+        assert node.bring_up()
+
+        def said(stamp_ns: int) -> bool:
+            node._measure(stamped(renderer.render(2e-3), stamp_ns))
+            return "not changed" in node.health.faults.get("contrast", "")
+
+        steps = [10**12 + number * 10**8 for number in range(60)]
+        other = [0 if jump is None else stamp + jump * 10**9 for stamp in steps]
+        for stamp in steps[:20] + other[20:40] + steps[40:]:
+            assert not said(stamp), stamp
+        node._on_reset(Trigger.Request(), Trigger.Response())
+        assert not said(steps[-1] + 10**8)
+        assert node.sensor.learned == 0, "the finger was taken as plate"
+        # Without a jump it is said, also where the camera is slow.
+        slow = [steps[-1] + second * 10**9 for second in (3, 6, 9, 12)]
+        assert [said(stamp) for stamp in slow] == [False, False, True, True]
+
+
 def test_images_in_the_lower_bits_are_said_where_a_dark_plate_is_allowed(
     ros_domain: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
