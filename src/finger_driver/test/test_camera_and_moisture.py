@@ -544,6 +544,67 @@ def test_ueye_open_elsewhere_or_without_its_library_is_reported(
         camera.open_source({"device": "ueye"}).connect()
 
 
+class Holding(FakeUeye):
+    """A camera that can be opened only when nobody holds it, by the handles 7, 8, …; `stuck` is
+    what closing it gives where it fails."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.stuck, self.held, self.next = 0, 0, 7
+
+    def is_InitCamera(self, camera: Any, window: Any) -> Any:
+        if self.held:
+            return 3
+        camera.value = self.held = self.next
+        self.next += 1
+        return 0
+
+    def is_ExitCamera(self, camera: Any) -> Any:
+        if self.stuck:
+            return self.stuck
+        if camera.value != self.held:
+            return 1
+        self.held = 0
+        return 0
+
+
+def test_ueye_that_could_not_be_closed_is_closed_before_it_is_opened_again() -> None:
+    sdk = Holding()
+    source = UeyeSource(UeyeSettings(rate=10.0), sdk=sdk)
+    source.connect()
+    sdk.stuck = -1
+    source.close()
+    for _ in range(3):
+        with pytest.raises(DeviceError, match=r"this node still holds it.* restart the node$"):
+            source.connect()
+    sdk.stuck = 0
+    source.connect()
+    assert source.read(1.0) is not None and sdk.held == 8
+    # Plugged out: the library knows the handle no more. Another program may have it then.
+    sdk.held = 99
+    source.close()
+    with pytest.raises(DeviceError, match="another program"):
+        source.connect()
+    sdk.held = 0
+    source.connect()
+    # Closing it again releases it, too, when the node ends.
+    sdk.stuck = -1
+    source.close()
+    sdk.stuck = 0
+    source.close()
+    assert not sdk.held
+    # A camera that can be opened all the same is held no more.
+    source.connect()
+    sdk.stuck, before = -1, sdk.held
+    source.close()
+    sdk.held = 0
+    source.connect()
+    assert sdk.held == before + 1 and source.read(1.0) is not None
+    sdk.stuck = 0
+    source.close()
+    assert not sdk.held
+
+
 def test_frozen_is_distinguished_from_dark() -> None:
     detector = FreezeDetector(3)
     assert [detector.frozen(picture()) for _ in range(4)] == [False, False, True, True]

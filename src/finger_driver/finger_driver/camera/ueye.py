@@ -32,7 +32,7 @@ _ERRORS = {
     122: "timed out",
     178: "transfer error",
 }
-_TIMED_OUT, _TRANSFER_ERROR = 122, 178
+_SUCCESS, _INVALID_HANDLE, _TIMED_OUT, _TRANSFER_ERROR = 0, 1, 122, 178
 _PAUSE = 0.005
 """s after a frame that was handed out again: the next one may be so at once."""
 _UPLOAD_TIME = 25
@@ -80,6 +80,8 @@ class UeyeSource(CameraSource):
         self._id = settings.camera_id
         self._sdk = sdk
         self._camera: Any = None
+        self._unclosed: Any = None
+        """Handle of a camera that could not be closed, and is closed before it is opened again."""
         self._memories: list[tuple[Any, Any]] = []
         self._mapper = ClockMapper(_TICKS)
         self._newest: tuple[int, int] | None = None
@@ -87,7 +89,7 @@ class UeyeSource(CameraSource):
 
     def _check(self, code: Any, what: str) -> None:
         code = int(code)
-        if code != 0:
+        if code != _SUCCESS:
             reason = _ERRORS.get(code, f"error {code}")
             raise DeviceError(f"uEye camera {self._id}: {what}: {reason}; check USB and power")
 
@@ -108,7 +110,13 @@ class UeyeSource(CameraSource):
             self._check(code, "opening")
         except DeviceError:
             self._camera = None
+            if self._unclosed is not None:
+                raise DeviceError(
+                    f"uEye camera {self._id}: this node still holds it, as it could not be closed; "
+                    "unplug it and plug it in again, or restart the node"
+                ) from None
             raise
+        self._unclosed = None
         self._set_up(u)
 
     def _set_up(self, u: Any) -> None:
@@ -238,12 +246,15 @@ class UeyeSource(CameraSource):
     def close(self) -> None:
         camera, self._camera = self._camera, None
         memories, self._memories = self._memories, []
-        if camera is None:
-            return
         u = self._sdk
-        u.is_StopLiveVideo(camera, u.IS_FORCE_VIDEO_STOP)
-        u.is_ExitImageQueue(camera)
-        u.is_ClearSequence(camera)
-        for memory, number in memories:
-            u.is_FreeImageMem(camera, memory, number)
-        u.is_ExitCamera(camera)
+        if camera is not None:
+            u.is_StopLiveVideo(camera, u.IS_FORCE_VIDEO_STOP)
+            u.is_ExitImageQueue(camera)
+            u.is_ClearSequence(camera)
+            for memory, number in memories:
+                u.is_FreeImageMem(camera, memory, number)
+            self._unclosed = camera
+        if self._unclosed is not None:
+            # An invalid handle is closed already; its number may be that of another camera soon.
+            if int(u.is_ExitCamera(self._unclosed)) in (_SUCCESS, _INVALID_HANDLE):
+                self._unclosed = None
