@@ -16,6 +16,7 @@ import importlib
 import math
 import re
 import time
+import unicodedata
 from collections import deque
 from collections.abc import Iterator
 from contextlib import suppress
@@ -26,6 +27,7 @@ from typing import Any
 
 from rclpy.qos import ReliabilityPolicy
 
+from finger_common.cli import plain
 from finger_common.diagnostics import ERROR, WARN, Health
 from finger_common.errors import FingerError, InputError, listed
 from finger_common.files import read_bytes
@@ -93,8 +95,8 @@ class SessionSettings(Settings):
 
 _REMINDER = 10.0
 """s between error messages while an interrupted recording is not resumed."""
-_PATIENCE = 20.0
-"""s of a recording after which it is told that nothing comes."""
+_PATIENCE, _SHORT = 20.0, 2.0
+"""s of a recording after which it is told that nothing comes: while it runs, when it is stopped."""
 _LONGEST_DELAY = 60.0
 """s that a message waits at most between its arrival and being taken."""
 
@@ -350,11 +352,13 @@ class RecorderNode(ManagedNode):
         if sum(lost.values()) > self._lost_told:
             self._lost_told = sum(lost.values())
             self.log_fault(self._health, "lost", f"messages lost: {notes['lost']}", WARN)
-        expected = recorder.recording and time.monotonic() - self._started > _PATIENCE
         for key, text in (
             ("disk", self._behind()),
             ("force", self._without_force(recorder.counts)),
-            ("nothing", self._nothing_came(recorder.counts) if expected else ""),
+            (
+                "nothing",
+                self._nothing_came(recorder.counts, _PATIENCE) if recorder.recording else "",
+            ),
         ):
             if text:
                 self.log_fault(self._health, key, text, WARN)
@@ -384,8 +388,11 @@ class RecorderNode(ManagedNode):
                 )
         return ""
 
-    def _nothing_came(self, counts: dict[str, int]) -> str:
-        """Sentence on a recording without any stream, and where there are some, or ""."""
+    def _nothing_came(self, counts: dict[str, int], after: float) -> str:
+        """Sentence on a recording of more than `after` s without any stream, and where there are
+        some, or ""."""
+        if time.monotonic() - self._started <= after:
+            return ""
         streams = [
             topic.name
             for topic in self._topics.values()
@@ -500,6 +507,11 @@ class RecorderNode(ManagedNode):
             target = self._folder / Path(given).expanduser()
         else:
             target = self._free_name(self._folder, session)
+        if any(unicodedata.category(c) in ("Cc", "Zl", "Zp") for c in str(target)):
+            raise InputError(
+                f"bag '{plain(target)}': its name has a line feed or another control character; "
+                "leave it out"
+            )
         # Whoever guides a session makes another attempt at a trial that was broken off.
         return self._begin(target, session, guided=trial is not None and bool(trial.session))
 
@@ -619,7 +631,7 @@ class RecorderNode(ManagedNode):
 
     def _doubts(self, result: RecordingResult) -> list[str]:
         """What makes a bag of little use that was recorded as it should be."""
-        nothing = "" if result.error else self._nothing_came(result.counts)
+        nothing = "" if result.error else self._nothing_came(result.counts, _SHORT)
         if nothing and self.values["record_at_start"]:
             self.exit_code = 1
         return [text for text in (self._without_force(result.counts), nothing) if text]

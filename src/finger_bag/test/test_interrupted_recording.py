@@ -618,6 +618,37 @@ def test_a_step_of_the_system_clock_is_named_until_it_is_taken_back(node: Any) -
         assert ("stepped by +3600.000 s" in node._health.report().message) == named
 
 
+@pytest.mark.parametrize("character", ["\n", "\r", "\x1b", "\x85", "\u2028"])
+def test_a_bag_name_that_breaks_lines_is_refused_in_one_sentence(
+    node: Any, tmp_path: Path, character: str
+) -> None:
+    from finger_msgs.srv import Record
+
+    node._finish()
+    before = set(tmp_path.rglob("*"))
+    for name in (f"a{character}b", f"sub/bag{character}", str(tmp_path / f"{character}x")):
+        request = Record.Request(command=Record.Request.COMMAND_START, path=name)
+        answer = node._on_record(request, Record.Response())
+        assert not answer.success and answer.message.isprintable()
+        assert "its name has a line feed or another control character" in answer.message
+    assert set(tmp_path.rglob("*")) == before and not node._recorder.started
+    assert node._start("Prüfung 1, größer\u3000試験", None).is_dir()
+
+
+def test_a_recording_that_is_stopped_at_once_is_not_called_empty(
+    node: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first message of a stream may be on its way."""
+    now = time.monotonic()
+    result = node._recorder.stop()
+    for seconds, said in ((0.05, False), (1.9, False), (2.1, True)):
+        with monkeypatch.context() as later:
+            later.setattr(time, "monotonic", lambda seconds=seconds: now + seconds)
+            node._started = now
+            assert bool(node._doubts(result)) is said
+            assert node.exit_code == int(said)
+
+
 def test_a_refused_start_leaves_the_accounts_of_the_recording_that_runs(node: Any) -> None:
     gaps = [topic.gaps for topic in node._topics.values()]
     node._health.fault("lost", "messages lost: wrench 3", 1)
@@ -819,7 +850,8 @@ def test_a_recording_to_which_nothing_comes_names_where_there_are_streams(
     import rclpy
     from geometry_msgs.msg import WrenchStamped
 
-    monkeypatch.setattr("finger_bag.recorder_node._PATIENCE", -1.0)
+    for patience in ("_PATIENCE", "_SHORT"):
+        monkeypatch.setattr(f"finger_bag.recorder_node.{patience}", -1.0)
 
     def said() -> str:
         node._each_second()
