@@ -339,13 +339,16 @@ def test_a_recording_that_cannot_begin_ends_at_once_with_one_sentence(
         ("--minimum-free", str(1 << 60)): "make room or choose another disk",
         ("--namespace", "a b"): "namespace 'a b' is not one of ROS",
     }
-    record = ("-m", "finger_common.entry", "finger_bag.cli", "record", "-o", str(tmp_path / "bag"))
-    children = {text: process(*record, *options) for options, text in said.items()}
+    record = ("-m", "finger_common.entry", "finger_bag.cli", "record", "-o")
+    children = {
+        text: process(*record, str(tmp_path / str(number)), *options)
+        for number, (options, text) in enumerate(said.items())
+    }
     for text, child in children.items():
         assert child.wait(60) == 2
         output = child.output.read_text()
         assert text in output and output.count("\n") == 1 and output.startswith("finger")
-    assert not (tmp_path / "bag").exists()
+    assert not any((tmp_path / str(number)).exists() for number in range(len(said)))
 
 
 @pytest.mark.parametrize("main", ["finger_bag.recorder_node", "finger_bringup.composed_node"])
