@@ -353,40 +353,74 @@ def test_stick_ratios_enter_by_their_stamps_whenever_they_come():
 
 
 SHEAR = (
-    ((9.83, 8.40, 0.40, 4.44, 4.60, 0.0, 6.51, 0.71), 60.0, (250.0, 284.0, 316.0)),
-    ((6.06, 3.86, 0.94, 2.81, 1.64, 0.0, 4.46, 0.69), 22.0, (267.0, 323.0, 370.0)),
-    ((9.43, 5.24, 0.73, 5.11, 2.42, 0.0, 5.75, 0.55), 24.9, (348.0, 427.0, 538.0)),
-    ((6.18, 3.88, 0.54, 2.71, 1.85, 0.0, 4.97, 0.37), 18.1, (252.0, 318.0, 360.0)),
-    ((9.33, 5.25, 0.99, 3.54, 1.78, 0.0, 8.09, 0.75), 71.1, (710.0, 815.0, 902.0)),
-    ((8.39, 6.03, 0.83, 2.11, 2.57, 0.0, 6.79, 0.23), 69.8, (210.0, 245.0, 301.0)),
+    (
+        (9.83, 8.40, 0.40, 4.44, 4.60, 0.0, 6.51, 0.71),
+        60.0,
+        (0.07, 0.43, 1.56),
+        (250.0, 284.0, 316.0),
+    ),
+    (
+        (6.06, 3.86, 0.94, 2.81, 1.64, 0.0, 4.46, 0.69),
+        22.0,
+        (0.09, 0.48, 1.85),
+        (267.0, 323.0, 370.0),
+    ),
+    (
+        (9.43, 5.24, 0.73, 5.11, 2.42, 0.0, 5.75, 0.55),
+        24.9,
+        (0.18, 1.37, 5.57),
+        (348.0, 427.0, 538.0),
+    ),
+    (
+        (6.18, 3.88, 0.54, 2.71, 1.85, 0.0, 4.97, 0.37),
+        18.1,
+        (0.05, 0.35, 1.46),
+        (252.0, 318.0, 360.0),
+    ),
+    (
+        (9.33, 5.25, 0.99, 3.54, 1.78, 0.0, 8.09, 0.75),
+        71.1,
+        (0.24, 1.25, 4.83),
+        (710.0, 815.0, 902.0),
+    ),
+    (
+        (8.39, 6.03, 0.83, 2.11, 2.57, 0.0, 6.79, 0.23),
+        69.8,
+        (0.12, 0.47, 1.35),
+        (210.0, 245.0, 301.0),
+    ),
 )
-"""Lengths of a Geometry (mm), E₂/E, and tangential stiffness (N/m) at 0.03, 0.08 and 0.15 of the
-pad's semi-axis in the three-dimensional model (scripts/shear_stiffness.py --seed 21); E 30 kPa."""
+"""Lengths of a Geometry (mm), E₂/E, and P (N) and tangential stiffness (N/m) at 0.03, 0.08 and 0.15
+of the pad's semi-axis in the three-dimensional model; E 30 kPa."""
 
 
-def held(estimator, indentation, seconds=0.02):
-    """Rows at 500 Hz of 1 N that is pulled by 0.1 N at once, 0.1 s after the onset."""
+def held(estimator, indentation, seconds=0.02, normal=1.0):
+    """Rows at 500 Hz of a press (N) that is pulled by 0.1 N at once, 0.1 s after the onset."""
     n = 50 + round(seconds * RATE)
     pull = np.where(np.arange(n) < 50, 0.0, 0.1)
-    rows = 2_000_000 * np.arange(n), np.ones(n), np.column_stack([pull, 0.0 * pull])
+    rows = 2_000_000 * np.arange(n), np.full(n, normal), np.column_stack([pull, 0.0 * pull])
     return estimator.add_many(*rows, np.ones(n, bool), np.full(n, indentation))
 
 
 def test_tangential_stiffness_is_that_of_the_three_dimensional_model():
     errors = []
-    for lengths, ratio, exact in SHEAR:
+    for lengths, ratio, forces, exact in SHEAR:
         geometry = Geometry(*(value * 1e-3 for value in lengths))
         estimator = SlipEstimator()
         estimator.assume(geometry, elastic(30e3, E2=ratio * 30e3))
         depths = np.array([0.03, 0.08, 0.15]) * geometry.pad_semi_axis_radial
-        found = [held(estimator, depth)["tangential_stiffness"][-1] for depth in depths.tolist()]
+        found = [
+            held(estimator, depth, normal=force)["tangential_stiffness"][-1]
+            for depth, force in zip(depths.tolist(), forces, strict=True)
+        ]
         errors.append(np.array(found) / exact - 1.0)
     assert np.abs(errors).max() < 0.2
     assert np.sqrt(np.mean(np.square(errors))) < 0.1
     # CalculiX 2.20, friction 0.5: 0.367 N/mm at the first 70 µm, pressed by 0.818 mm to 0.52 N.
     estimator = SlipEstimator()
     estimator.assume(CALCULIX_FINGER, elastic(30.23e3, E2=1652e3))
-    assert held(estimator, 0.818e-3)["tangential_stiffness"][-1] == pytest.approx(367.0, rel=0.1)
+    found = held(estimator, 0.818e-3, normal=0.52)["tangential_stiffness"][-1]
+    assert found == pytest.approx(367.0, rel=0.1)
 
 
 def test_a_pulled_finger_creeps_to_what_its_long_term_modulus_lets_it():
@@ -405,11 +439,30 @@ def test_a_pulled_finger_creeps_to_what_its_long_term_modulus_lets_it():
     np.testing.assert_allclose(moved[100:], 0.1 * (1.0 + creep)[50:], rtol=0.05)
 
 
+@pytest.mark.parametrize(
+    ("seconds", "exact"),
+    [(0.05, (0.02678, 0.05522, 0.08584, 0.12059)), (1.0, (0.03701, 0.09017, 0.15573, 0.23042))],
+)
+def test_a_pulled_finger_moves_as_in_three_dimensions(seconds, exact):
+    """The default finger, natural, pressed to 0.5 N in 0.5 s; the displacements (mm) at 0.2, 0.4,
+    0.6 and 0.8 of the friction are of SolidModel."""
+    material = replace(Material(), **NATURAL.parameters)
+    time = np.append(np.linspace(0.02, 0.5, 25), 0.5 + 0.01 * seconds * np.arange(1, 81))
+    contact = simulate_reduced(material, time, np.minimum(time, 0.5), Geometry())
+    pull = material.friction * 0.5 * np.maximum(time - 0.5, 0.0) / seconds
+    found = pull_history(contact, pull, Geometry(), material).tangential_displacement
+    np.testing.assert_allclose(1e3 * found[44::20], exact, rtol=0.08)
+
+
 def test_another_finger_is_less_stiff_to_shear():
     default, soft = SlipEstimator(), SlipEstimator()
-    soft.assume(Geometry(), replace(Material(), E0=0.5 * Material().E0, E2=0.5 * Material().E2))
-    of_default, of_soft = (held(e, 0.6e-3)["tangential_stiffness"][-1] for e in (default, soft))
-    assert of_soft == pytest.approx(0.5 * of_default, rel=0.04)
+    moduli = {name: 0.5 * getattr(Material(), name) for name in ("E0", "E2", "nail_modulus")}
+    soft.assume(Geometry(), replace(Material(), **moduli))
+    of_default, of_soft = (
+        held(estimator, 0.6e-3, normal=force)["tangential_stiffness"][-1]
+        for estimator, force in ((default, 1.0), (soft, 0.5))
+    )
+    assert of_soft == pytest.approx(0.5 * of_default, rel=0.02)
 
 
 @pytest.mark.parametrize("rate", [500, 50, 40, 20, 15])

@@ -4,7 +4,8 @@
 """Compiled mechanics of the contact at a friction that is given: elements, creep and stiffness.
 
 Elements (see `backbone`) remember the history of P and Q and give the stick ratio; the tissue
-behind them gives way at once, by the stiffness of `shear`, and creeps.
+behind them gives way at once, by the stiffness of `shear`, and creeps. What of Q came with P came
+while the contact was smaller: it has moved the plate further than the present stiffness says.
 
 What P brings when it grows sticks at first: where Q grows with it by less than μ, nothing slips
 (R. D. Mindlin and H. Deresiewicz, J. Appl. Mech. 20:327–344, 1953). That part of Q, c, goes to all
@@ -22,7 +23,7 @@ import numpy as np
 from ..compiled import njit
 from ..laws.maxwell import step_weights
 from . import backbone
-from .shear import DEPTHS
+from .shear import DEPTHS, SOFTENING
 
 COUNT = 40
 LIMITS = backbone.limits(COUNT)
@@ -32,6 +33,9 @@ CURVE = np.interp(np.linspace(0.0, 1.0, 101), *backbone.STICK_CURVE.T)
 LITTLE = 0.1
 """Share of μP below which c changes little: noise of the forces brings some, too."""
 COMPLIANCE = backbone.SLIP_COMPLIANCE
+FIRST, FURTHEST = 1.1, 1.5
+"""Displacement by c over that at the present stiffness, where a contact has just come, and at
+most."""
 BRANCHES = 4
 """Most branches of the tissue."""
 FIRST_DEPTH, NODES = math.log(DEPTHS[0]), len(DEPTHS)
@@ -40,7 +44,7 @@ DEPTH_STEP = math.log(DEPTHS[1] / DEPTHS[0])
 FINGER = np.dtype(
     [
         ("length", "f8"),  # m, the pad's radial semi-axis
-        ("shear", "f8", (NODES,)),  # N/m, see `shear`
+        ("shear", "f8", (NODES,)),  # N/m, without load, see `shear`
         ("fractions", "f8", (BRANCHES,)),  # of the tissue's branches, 0 where there is none
         ("times", "f8", (BRANCHES,)),  # s
     ]
@@ -52,6 +56,9 @@ ELEMENTS = np.dtype(
         ("pull", "f8", (2,)),  # N, Q of the sample before
         ("reached", "f8"),  # N, P up to which c has been given
         ("with_load", "f8", (2,)),  # N, c
+        ("placed", "f8", (2,)),  # N, the part of c that has moved the plate
+        ("placed_by", "f8", (2,)),  # m, sudden displacement by c
+        ("placed_at", "f8"),  # N/m, stiffness then; 0: none was yet
         ("displaced", "f8", (2,)),  # m, of the plate
         ("crept", "f8", (BRANCHES, 2)),  # m, displacement that each branch has come to
     ]
@@ -75,6 +82,8 @@ def release(elements):
     elements.force[:, :] = 0.0
     elements.moved[:] = elements.pull[:] = elements.with_load[:] = 0.0
     elements.reached = 0.0
+    elements.placed[:] = elements.placed_by[:] = 0.0
+    elements.placed_at = 0.0
     elements.displaced[:] = elements.crept[:] = 0.0
 
 
@@ -201,31 +210,62 @@ def pull(elements, load, q0, q1):
 
 
 @njit(cache=True)
-def sudden_stiffness(finger, indentation):
-    """Tangential stiffness (N/m) under a sudden load; NaN where the finger is not indented."""
+def stiffness(finger, indentation, normal):
+    """Tangential stiffness (N/m) under a sudden pull at P `normal` (N), and the factor of the
+    finger's `fractions` there; NaN where the finger is not indented."""
     if not indentation > 0.0:
-        return math.nan
+        return math.nan, math.nan
     at = (math.log(indentation / finger.length) - FIRST_DEPTH) / DEPTH_STEP
     at = min(max(at, 0.0), NODES - 1.001)
     k = int(at)
-    return finger.shear[k] + (at - k) * (finger.shear[k + 1] - finger.shear[k])
+    unloaded = finger.shear[k] + (at - k) * (finger.shear[k + 1] - finger.shear[k])
+    taken = SOFTENING * max(normal, 0.0) / (finger.length * unloaded)
+    relaxing = finger.fractions.sum()
+    rest = 1.0 - relaxing
+    if relaxing < 1e-6:
+        return unloaded * math.exp(-taken), 1.0
+    # The load takes more of a slow pull's stiffness.
+    slow = rest * math.exp(taken - taken / rest)
+    return unloaded * math.exp(-taken), (1.0 - slow) / relaxing
 
 
 @njit(cache=True)
-def displace(finger, elements, dt, stiffness, q):
+def _place(elements, stiffness):
+    """Let `placed_by` follow c: each part of it moves the plate by the stiffness at its time."""
+    c, along, square = elements.with_load, 0.0, 0.0
+    compliance = FIRST / stiffness
+    if elements.placed_at > 0.0:
+        compliance = 0.5 / stiffness + 0.5 / elements.placed_at
+    elements.placed_at = stiffness
+    for i in range(2):
+        elements.placed_by[i] += compliance * (c[i] - elements.placed[i])
+        elements.placed[i] = c[i]
+        along += elements.placed_by[i] * c[i]
+        square += c[i] * c[i]
+    further = min(max(stiffness * along / max(square, 1e-12), 1.0), FURTHEST)
+    for i in range(2):
+        elements.placed_by[i] = further * c[i] / stiffness
+
+
+@njit(cache=True)
+def displace(finger, elements, dt, stiffness, share, q):
     """Displace the plate under Q (2,), dt (s) after the sample before: the tissue creeps by its
-    branches as in a linear Maxwell model, and what slips adds its share."""
+    branches as in a linear Maxwell model, and what slips adds its share. stiffness and `share` are
+    those of `stiffness`."""
+    _place(elements, stiffness)
     before, driven = elements.displaced.copy(), np.empty(2)
     rest = 1.0
     for i in range(2):
-        driven[i] = (q[i] + COMPLIANCE * (elements.moved[i] - q[i])) / stiffness
+        after = q[i] - elements.placed[i] + COMPLIANCE * (elements.moved[i] - q[i])
+        driven[i] = elements.placed_by[i] + after / stiffness
     # Exact for a displacement that is linear within the step.
     for b in range(BRANCHES):
         weights = step_weights(dt, finger.times[b])
-        rest -= finger.fractions[b] * weights.new
+        fraction = share * finger.fractions[b]
+        rest -= fraction * weights.new
         for i in range(2):
             elements.crept[b, i] = weights.decay * elements.crept[b, i] + weights.old * before[i]
-            driven[i] += finger.fractions[b] * elements.crept[b, i]
+            driven[i] += fraction * elements.crept[b, i]
     for i in range(2):
         elements.displaced[i] = driven[i] / rest
     for b in range(BRANCHES):

@@ -303,11 +303,11 @@ def _write_pull(config, state, sample, ratio, slipping, dt, out):
         # The tare may be all of P and Q.
         out.stick_ratio_stddev = max(out.stick_ratio_stddev, 1.0)
         out.slip_margin_stddev = max(out.slip_margin_stddev, 1.0)
-    stiffness = elements.sudden_stiffness(config.finger, sample.indentation)
+    stiffness, share = elements.stiffness(config.finger, sample.indentation, now[0])
     out.tangential_stiffness = stiffness
     out.tangential_displacement[:] = math.nan
     if sample.indentation > 0.0:
-        elements.displace(config.finger, state.elements, dt, stiffness, now[1:])
+        elements.displace(config.finger, state.elements, dt, stiffness, share, now[1:])
         out.tangential_displacement[:] = state.elements.displaced
 
 
@@ -389,7 +389,7 @@ def pull_along(finger, state, time, normal, area, indentation, tangential, frict
         table[i, 1] = max(0.0, 1.0 - abs(pull[0]) / load)
         slid = slid or abs(pull[0]) >= load
         if not slid and indentation[i] > 0.0:
-            stiffness = elements.sudden_stiffness(finger, indentation[i])
+            stiffness, share = elements.stiffness(finger, indentation[i], normal[i])
             dt = time[i] - time[max(i - 1, 0)]
-            elements.displace(finger, state, dt, stiffness, pull)
+            elements.displace(finger, state, dt, stiffness, share, pull)
             table[i, 2] = state.displaced[0]
