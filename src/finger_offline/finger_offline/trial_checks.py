@@ -100,6 +100,7 @@ def check_trials(bag: CheckedBag, result: Validation) -> None:
     tare_fails = _check_tare(found, forces, streams, result)
     left_out = [e for e in found.exclusions if found.trials or e.reason != PULLED]
     unused = f"; left out: {_exclusions(left_out)}" if left_out else ""
+    unused += f"; {found.unannounced}" if found.unannounced else ""
     if not found.trials and found.pulls:
         pulls = "1 pull" if len(found.pulls) == 1 else f"{len(found.pulls)} pulls"
         text = f"{pulls}: fit for the friction (process --slip), not for the area"
@@ -107,7 +108,7 @@ def check_trials(bag: CheckedBag, result: Validation) -> None:
         return
     if not found.trials:
         reasons = listed(dict.fromkeys(e.reason for e in found.exclusions), 3, "; ")
-        words = f"none can be used ({reasons})"
+        words = "; ".join(filter(None, (f"none can be used ({reasons})", found.unannounced)))
         squares = directed(streams.wrenches.force)
         pressed = forces["normal"].max(initial=0.0) >= settings.minimum_peak
         if not pressed or mostly_pulls(squares, settings.axis):

@@ -87,7 +87,8 @@ class TrialSet:
 
     pulls: trials for the friction, which are among the exclusions too. lost: bags of which
     something could not be read. moved: how the force of the unloaded plate moves in one bag, None
-    where it does not.
+    where it does not. unannounced: what to say of presses in one bag that belong to no announced
+    trial, empty where there are none.
     """
 
     trials: list[TrialRecord] = field(default_factory=list)
@@ -96,6 +97,7 @@ class TrialSet:
     problems: list[str] = field(default_factory=list)
     lost: list[str] = field(default_factory=list)
     moved: Unloaded | None = None
+    unannounced: str = ""
 
     def __len__(self) -> int:
         return len(self.trials)

@@ -5,9 +5,11 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -54,7 +56,7 @@ class TrialSettings(ImageSettings, ReadSettings):
     )
     minimum_peak: float = setting(
         0.2,
-        "Without trial messages, a touch that stays below this force is no trial.",
+        "A touch that stays below this force is no press.",
         unit="N",
         minimum=0.0,
     )
@@ -152,7 +154,10 @@ def split(
     if result.moved is not None and abs(result.moved.force) > LARGEST_TARE:
         result.problems.append(f"{bag}: {result.moved.words}; the forces of its presses are wrong")
     if streams.trials:
-        chosen, without = _by_messages(streams.trials, stamp, normal, recording.presses)
+        chosen, without, others = _by_messages(streams.trials, stamp, normal, recording.presses)
+        heavy = [p for p in others if normal[p[0] : p[1]].max() >= settings.minimum_peak]
+        result.unannounced = _unannounced(heavy, settings.minimum_peak)
+        result.problems += [f"{bag}: {result.unannounced}"] if heavy else []
     else:
         chosen, without = _by_force(normal, recording.presses, settings.minimum_peak), []
     result.exclusions += [
@@ -316,38 +321,90 @@ def _by_force(
     return chosen
 
 
+def number_of(trial: TrialEvent | TrialRecord) -> tuple[str, str, str, str, int]:
+    """What the attempts at a trial have in common: numbers may begin again with each session,
+    subject, finger and condition."""
+    return trial.session, trial.subject, trial.finger, trial.condition, trial.index
+
+
+_NAMES = ("subject", "finger", "condition")
+"""Names in an announcement that may be empty."""
+
+
+def _completed(events: Sequence[TrialEvent]) -> list[TrialEvent]:
+    """Events in order; one without subject, finger or condition, as of a program that does not give
+    them, has that of the others of its session, number and attempt where these agree."""
+    known: dict[tuple[Any, ...], set[str]] = {}
+    for event in events:
+        for name in _NAMES:
+            text = getattr(event, name)
+            of = known.setdefault((event.session, event.index, event.attempt, name), set())
+            of |= {text} if text else set()
+    found = []
+    for event in sorted(events, key=lambda e: e.stamp_ns):
+        empty = [n for n in _NAMES if not getattr(event, n)]
+        others = {n: known[event.session, event.index, event.attempt, n] for n in empty}
+        found.append(replace(event, **{n: min(of) for n, of in others.items() if len(of) == 1}))
+    return found
+
+
+def _announced(events: Sequence[TrialEvent]) -> list[list[TrialEvent]]:
+    """Events of each trial that announce a press, in the order of the presses.
+
+    A press that is announced after one of the same number and attempt was judged is another trial.
+    """
+    last: dict[tuple[Any, ...], list[TrialEvent]] = {}
+    groups: list[list[TrialEvent]] = []
+    for event in _completed(events):
+        key = (*number_of(event), event.attempt)
+        phases = {e.phase for e in last.get(key, ())}
+        judged = TrialPhase.PRESS in phases and phases & {TrialPhase.DONE, TrialPhase.FAILED}
+        if key not in last or (event.phase == TrialPhase.PRESS and judged):
+            groups.append([])
+            last[key] = groups[-1]
+        last[key].append(event)
+    pressed = [g for g in groups if any(e.phase == TrialPhase.PRESS for e in g)]
+    return sorted(pressed, key=_start)
+
+
+def _start(group: Sequence[TrialEvent]) -> int:
+    """ns; when the press of a trial is announced."""
+    return next(e.stamp_ns for e in group if e.phase == TrialPhase.PRESS)
+
+
+def _unannounced(presses: Sequence[tuple[int, int]], minimum_peak: float) -> str:
+    if not presses:
+        return ""
+    number = "1 press" if len(presses) == 1 else f"{len(presses)} presses"
+    belong = "belongs" if len(presses) == 1 else "belong"
+    return f"{number} of {minimum_peak:g} N or more {belong} to no announced trial"
+
+
 def _by_messages(
     events: Sequence[TrialEvent],
     stamp: np.ndarray,
     normal: np.ndarray,
     found: Sequence[tuple[int, int]],
-) -> tuple[list[_Press], list[tuple[TrialEvent, str]]]:
-    """The press of each announced trial, and trials without one."""
-    groups: dict[tuple[str, int, int], list[TrialEvent]] = {}
-    for event in sorted(events, key=lambda e: e.stamp_ns):
-        groups.setdefault((event.session, event.index, event.attempt), []).append(event)
-    starts = {
-        key: next(e.stamp_ns for e in group if e.phase == TrialPhase.PRESS)
-        for key, group in groups.items()
-        if any(e.phase == TrialPhase.PRESS for e in group)
-    }
-    ordered = sorted(starts, key=lambda key: starts[key])
+) -> tuple[list[_Press], list[tuple[TrialEvent, str]], list[tuple[int, int]]]:
+    """The press of each announced trial, trials without one, and presses in none of them."""
+    groups = _announced(events)
     chosen: list[_Press] = []
     without: list[tuple[TrialEvent, str]] = []
-    for position, key in enumerate(ordered):
-        group = groups[key]
-        start = starts[key]
+    others = set(found)
+    for group, following in itertools.zip_longest(groups, groups[1:]):
+        start = _start(group)
         ends = [
             e.stamp_ns
             for e in group
             if e.stamp_ns > start
             and e.phase in (TrialPhase.MOISTURE_AFTER, TrialPhase.DONE, TrialPhase.FAILED)
         ]
-        if position + 1 < len(ordered):
-            ends.append(starts[ordered[position + 1]])
+        if following is not None:
+            ends.append(_start(following))
         low = np.searchsorted(stamp, start)
         high = np.searchsorted(stamp, min(ends)) if ends else len(stamp)
         inside = [p for p in found if p[0] < high and p[1] > low and p[0] >= low]
+        others -= set(inside)
         failed = next((e for e in group if e.phase == TrialPhase.FAILED), None)
         if not inside:
             text = (
@@ -364,7 +421,7 @@ def _by_messages(
         completed = any(e.phase == TrialPhase.DONE for e in group)
         chosen.append(_Press(*best, group[-1], reason, completed))
     # A trial that was only prepared in this bag has no press to lose.
-    return chosen, without
+    return chosen, without, sorted(others)
 
 
 def _apart(

@@ -24,7 +24,7 @@ from finger_common.errors import listed
 
 from .image_areas import ImageAreas
 from .trial_records import Exclusion, TrialRecord, TrialSet
-from .trial_split import TrialSettings, split
+from .trial_split import TrialSettings, number_of, split
 
 
 def load_trials(
@@ -93,16 +93,16 @@ def without_superseded(
     """Of trials that were done again, also in another bag of the folder, the last attempt, of those
     that were completed where there are any, also in another folder; and the others."""
     last: dict[tuple[Any, ...], tuple[bool, int]] = {}
-    completed = {_number(trial) for trial in trials if trial.completed}
+    completed = {number_of(trial) for trial in trials if trial.completed}
     for trial in trials:
-        key = (_folder(trial), *_number(trial))
+        key = (_folder(trial), *number_of(trial))
         rank = (trial.completed, trial.attempt)
         # A disk that was full may have the failed attempt, and another one the trial.
-        least = (_number(trial) in completed, 0)
+        least = (number_of(trial) in completed, 0)
         last[key] = max(last.get(key, rank), rank, least)
     kept, again = [], []
     for trial in trials:
-        key = (_folder(trial), *_number(trial))
+        key = (_folder(trial), *number_of(trial))
         if (trial.completed, trial.attempt) < last[key]:
             why = "done again" if trial.attempt < last[key][1] else "not completed, unlike another"
             reason = f"attempt {trial.attempt}, {why}"
@@ -117,7 +117,7 @@ def shared_sessions(trials: Sequence[TrialRecord]) -> list[str]:
     was done again in the other is not known."""
     folders: dict[tuple[Any, ...], list[Path]] = {}
     for trial in (t for t in trials if t.session and t.completed):
-        known = folders.setdefault(_number(trial), [])
+        known = folders.setdefault(number_of(trial), [])
         known += [folder] if (folder := _folder(trial)) not in known else []
     places = {number[:2]: found for number, found in folders.items() if len(found) > 1}
     return [
@@ -126,11 +126,6 @@ def shared_sessions(trials: Sequence[TrialRecord]) -> list[str]:
         "what is a copy or was done again, and give two people two codes"
         for (session, subject), found in places.items()
     ]
-
-
-def _number(trial: TrialRecord) -> tuple[str, str, str, int]:
-    """What the attempts at a trial have in common."""
-    return trial.session, trial.subject, trial.condition, trial.index
 
 
 def _folder(trial: TrialRecord) -> Path:

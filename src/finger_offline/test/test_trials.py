@@ -189,6 +189,81 @@ def test_a_trial_done_again_counts_once_also_in_another_folder_or_by_its_file(
     assert len(files) == 3 and [t.attempt for t in load_trials(files)] == [2]
 
 
+@pytest.mark.parametrize(
+    "abouts",
+    [
+        [{"condition": "dry"}, {"condition": "moist"}],
+        [{"subject": "S01"}, {"subject": "S02"}],
+        [{"header": {"frame_id": "right_index"}}, {"header": {"frame_id": "left_thumb"}}],
+        [{}, {}],
+    ],
+    ids=["conditions", "subjects", "fingers", "an announcement after the verdict"],
+)
+def test_numbers_that_begin_again_within_one_bag_are_trials_of_their_own(
+    tmp_path: Path, abouts: list[dict[str, Any]]
+) -> None:
+    """Such as bags joined into one, or a protocol that numbers the trials of each condition."""
+    path = tmp_path / "bag"
+    begins = [START + k * 10_000_000_000 for k in range(2 * len(abouts))]
+    with BagWriter(path, {"session": "s", "condition": "dry", "subject": "S09"}) as bag:
+        for number, begin in enumerate(begins):
+            about = abouts[number // 2]
+            trial = {"session": "s", "condition": "dry", "index": number % 2, **about}
+            finger = about.get("header", {})
+            for phase, after in ((TrialPhase.PRESS, 0), (TrialPhase.DONE, 4_000_000_000)):
+                header = {**finger, "stamp": begin + after}
+                bag.write("trial", {**trial, "header": header, "phase": int(phase)})
+            write_press(bag, begin)
+    found = load_trials(path)
+    assert [t.index for t in found] == [0, 1, 0, 1] and not found.exclusions
+    assert all(b < t.onset_ns < b + 1_000_000_000 for b, t in zip(begins, found))
+    names = [(t.condition, t.subject, t.finger) for t in found]
+    expected = [
+        (
+            a.get("condition", "dry"),
+            a.get("subject", "S09"),
+            a.get("header", {}).get("frame_id", ""),
+        )
+        for a in abouts
+    ]
+    assert names == [expected[0]] * 2 + [expected[1]] * 2
+    said = {c.name: c.detail for c in validate(path).checks}["trials"]
+    assert said == ("2 dry, 2 moist" if "condition" in abouts[0] else "4 dry")
+
+
+def test_another_finger_does_not_do_a_trial_again(tmp_path: Path) -> None:
+    for attempt, finger in enumerate(["right_index", "left_thumb"]):
+        with BagWriter(tmp_path / finger, {"condition": "dry"}) as bag:
+            begin = START + attempt * 10_000_000_000
+            for phase, after in ((TrialPhase.PRESS, 0), (TrialPhase.DONE, 4_000_000_000)):
+                header = {"stamp": begin + after, "frame_id": finger}
+                trial = {"header": header, "session": "s", "index": 4, "attempt": attempt}
+                bag.write("trial", {**trial, "phase": int(phase)})
+            write_press(bag, begin)
+    found = load_trials(tmp_path)
+    assert {t.finger for t in found} == {"right_index", "left_thumb"} and not found.exclusions
+
+
+def test_presses_that_nothing_announces_are_counted(tmp_path: Path) -> None:
+    path = tmp_path / "bag"
+    with BagWriter(path, {"condition": "dry"}) as bag:
+        for number in range(3):
+            begin = START + number * 10_000_000_000
+            if number == 1:
+                for phase, after in ((TrialPhase.PRESS, 0), (TrialPhase.DONE, 4_000_000_000)):
+                    trial = {"header": {"stamp": begin + after}, "session": "s"}
+                    bag.write("trial", {**trial, "phase": int(phase)})
+            write_press(bag, begin)
+        bag.write("wrench", wrench(begin + 5_000_000_000, 0.1))  # a touch
+        bag.write("wrench", wrench(begin + 6_000_000_000, 0.0))
+    found = load_trials(path)
+    assert len(found) == 1
+    words = "2 presses of 0.2 N or more belong to no announced trial"
+    assert found.problems == [f"{path}: {words}"]
+    said = {c.name: (c.status, c.detail) for c in validate(path).checks}["trials"]
+    assert said == ("note", f"1 dry; {words}")
+
+
 def test_a_trial_names_its_finger(tmp_path: Path) -> None:
     """By its messages, or else by the bag; a frame that is no finger's is left out."""
     for name, frame, noted, finger in (
