@@ -24,6 +24,7 @@ from finger_fit.study.bags import load, reading
 from finger_fit.study.grouping import cluster_names
 from finger_model.finger import load_areas
 from finger_model.laws import StandardLinearSolid, law_of
+from finger_offline.trials import load_trials
 from finger_operator.protocol import Protocol
 from finger_operator.study_plan import StudyPlan
 
@@ -52,6 +53,26 @@ def write_attempt(bag: BagWriter, attempt: int, phases: tuple[tuple[int, int], .
         bag.write("wrench", {**header, "wrench": {"force": {"z": -force}}})
         if k % 50 == 0:
             bag.write("contact_area", {**header, "gross_area": 4e-5 * force})
+
+
+def test_a_bag_without_areas_is_left_out_beside_one_with_them(tmp_path) -> None:
+    done = ((3, 0), (6, 4))
+    for name, condition in (("t5", "dry"), ("t6", "dry")):
+        with BagWriter(tmp_path / name, {"condition": condition, "subject": "S01"}) as bag:
+            if name == "t5":
+                write_attempt(bag, 0, done)
+            else:
+                bag.write("wrench", {"header": {"stamp": 10**12}})
+    loaded = load([tmp_path], reading(FitOptions()))
+    assert len(loaded.records) == 1
+    (left_out,) = loaded.exclusions
+    assert (left_out.label, left_out.condition, left_out.subject) == ("t6", "dry", "S01")
+    assert left_out.reason == "no contact area was recorded"
+    read = load_trials(tmp_path)
+    assert len(read) == 1 and [e.index for e in read.exclusions] == [None]
+    for one in (load_trials, lambda path: load([path], reading(FitOptions()))):
+        with pytest.raises(InputError, match=r"t6: topic 'contact_area' .*is missing"):
+            one(tmp_path / "t6")
 
 
 def test_a_trial_that_was_repeated_is_fitted_by_its_last_attempt(tmp_path) -> None:

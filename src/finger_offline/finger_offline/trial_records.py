@@ -72,11 +72,11 @@ class TrialRecord:
 
 @dataclass(frozen=True)
 class Exclusion:
-    """A press or trial that was left out, and the reason."""
+    """A press or trial that was left out, and the reason; index: None for all of a bag."""
 
     bag: str
     condition: str
-    index: int
+    index: int | None
     reason: str
     subject: str = ""
 

@@ -20,11 +20,19 @@ from finger_bag.streams import (
     missing,
     read_streams,
 )
-from finger_common.errors import listed
+from finger_common.errors import InputError, listed
 
 from .image_areas import ImageAreas
 from .trial_records import Exclusion, TrialRecord, TrialSet
 from .trial_split import TrialSettings, number_of, split
+
+
+class NoAreas(InputError):
+    """A bag holds neither contact_area nor images; exclusion: of all that it holds."""
+
+    def __init__(self, message: str, exclusion: Exclusion) -> None:
+        super().__init__(message)
+        self.exclusion = exclusion
 
 
 def load_trials(
@@ -33,19 +41,26 @@ def load_trials(
 ) -> TrialSet:
     """Trials of bags; see TrialSettings for what can be set.
 
-    Raises InputError for a bag that cannot be read, holds no wrench, or holds neither contact_area
-    nor images.
+    Raises InputError for a bag that cannot be read or holds no wrench, and when all bags hold
+    neither contact_area nor images.
     """
     settings = settings or TrialSettings()
     result = TrialSet()
-    for bag in find_bags([paths] if isinstance(paths, (str, Path)) else paths):
-        with open_bag(bag) as reader:
-            found = trials_of(reader, settings)
+    bags = find_bags([paths] if isinstance(paths, (str, Path)) else paths)
+    lacking: list[NoAreas] = []
+    for bag in bags:
+        try:
+            with open_bag(bag) as reader:
+                found = trials_of(reader, settings)
+        except NoAreas as error:
+            lacking.append(error)
+            continue
         result.trials += found.trials
         result.pulls += found.pulls
         result.exclusions += found.exclusions
         result.problems += found.problems
         result.lost += found.lost
+    result.exclusions += without_areas(lacking, len(bags))
     result.problems += shared_sessions(result.trials)
     result.trials, again = without_superseded(result.trials)
     result.exclusions += again
@@ -67,13 +82,16 @@ def trials_in(reader: BagReader, streams: SessionStreams, settings: TrialSetting
 def streams_with_areas(reader: BagReader, settings: TrialSettings) -> SessionStreams:
     """Streams of a bag, with areas from its images where the settings ask for it.
 
-    Raises InputError when there are no areas and no images to take them from.
+    Raises NoAreas when there are no areas and no images to take them from.
     """
     find_wrench(reader, settings)
     has_areas = find_used(reader, "contact_area", settings) is not None
     from_images = settings.image_areas == "always" or not has_areas
     if from_images and not any(find_topic(reader, name, settings) for name in IMAGES):
-        raise missing(reader, "contact_area" if settings.image_areas == "absent" else "image_raw")
+        needed = "contact_area" if settings.image_areas == "absent" else "image_raw"
+        about, reason = reader.info.metadata, "no contact area was recorded"
+        whole = Exclusion(str(reader.path), about.condition, None, reason, about.subject)
+        raise NoAreas(str(missing(reader, needed)), whole)
     measure = ImageAreas.for_bag(reader, settings) if from_images else None
     streams = read_streams(
         reader,
@@ -85,6 +103,13 @@ def streams_with_areas(reader: BagReader, settings: TrialSettings) -> SessionStr
         streams.areas, streams.area_source = measure.table(), "images"
         streams.problems += measure.problems()
     return streams
+
+
+def without_areas(lacking: Sequence[NoAreas], bags: int) -> list[Exclusion]:
+    """Exclusions of the bags without areas, of so many bags; raises InputError when all are."""
+    if lacking and len(lacking) == bags:
+        raise lacking[0]
+    return [error.exclusion for error in lacking]
 
 
 def without_superseded(

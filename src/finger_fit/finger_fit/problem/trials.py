@@ -429,9 +429,9 @@ def _before(record: Any, start: int, since: float) -> tuple[np.ndarray, np.ndarr
 
 
 def label_of(record: Any) -> str:
-    """Name of a trial: its bag and its index."""
+    """Name of a trial: its bag and its index; of a whole bag, without an index, the bag's."""
     name = str(record.bag).rstrip("/").rsplit("/", 1)[-1]
-    return f"{name} trial {int(record.index)}"
+    return name if record.index is None else f"{name} trial {int(record.index)}"
 
 
 def finger_of(record: Any) -> str:

@@ -22,10 +22,12 @@ from finger_offline.trial_records import Exclusion as TrialExclusion
 from finger_offline.trial_records import TrialRecord, TrialSet
 from finger_offline.trial_split import TrialSettings
 from finger_offline.trials import (
+    NoAreas,
     shared_sessions,
     streams_with_areas,
     trials_in,
     trials_of,
+    without_areas,
     without_superseded,
 )
 
@@ -73,8 +75,8 @@ def load(
 
     Areas come from contact_area, or from the images where it is absent or the settings say so.
     Force comes from wrench, or else from wrench_raw less its mean before the press. progress:
-    called with bags read and all bags. Raises InputError when a path is no bag or a bag holds no
-    trial data.
+    called with bags read and all bags. A bag without areas is an exclusion beside others that have
+    them. Raises InputError when a path is no bag, a bag holds no force, or none holds areas.
     """
     bags = find_bags(paths)
     if settings.calibration and not Path(settings.calibration).is_file():
@@ -83,10 +85,15 @@ def load(
         )
     out = Loaded()
     excluded: list[TrialExclusion] = []
+    lacking: list[NoAreas] = []
     for number, bag in enumerate(bags):
         if progress is not None:
             progress(number, len(bags))
-        found, force_source, made_by = _read(bag, settings)
+        try:
+            found, force_source, made_by = _read(bag, settings)
+        except NoAreas as error:
+            lacking.append(error)
+            continue
         out.records += found.trials
         excluded += found.exclusions
         out.problems += found.problems
@@ -103,6 +110,7 @@ def load(
         )
     if progress is not None:
         progress(len(bags), len(bags))
+    excluded += without_areas(lacking, len(bags))
     recorded = [source["bag"] for source in out.sources if "topic" in source["areas"]]
     if recorded and (settings.calibration or settings.area_per_pixel):
         out.problems.append(
