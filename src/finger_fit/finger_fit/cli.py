@@ -241,9 +241,9 @@ def command(argv: Sequence[str] | None = None) -> int:
         print(f"report: {plain(page.with_suffix('.pdf'))}")
     for bag in result.lost:
         print(f"finger-fit: {plain(bag)}: not all of the bag could be read", file=sys.stderr)
-    if result.interrupted:
+    if result.stopped:
         return EXIT_INTERRUPTED
-    return EXIT_LOST if result.lost else 0
+    return EXIT_LOST if result.lost or result.missing else 0
 
 
 def main(argv: Sequence[str] | None = None) -> None:

@@ -341,6 +341,38 @@ def test_of_subjects_those_before_an_interruption_get_their_parameters(
     assert ParameterSets.load(tmp_path / "subjects" / "S01.yaml").sets
 
 
+@pytest.mark.parametrize("several", [True, False], ids=["subjects", "one subject"])
+def test_a_condition_lost_for_another_reason_than_its_data_leaves_parameters(
+    double, tmp_path: Path, several: bool
+) -> None:
+    """Such as a checkpoint that --resume cannot use."""
+    codes = ("S01", "S02") if several else ("S01",)
+    moistures = {"dry": [40.0, 42.0], "natural": [70.0, 72.0]}
+    records = [
+        replace(
+            double.make_record(i, 0.7 + 0.3 * i + 0.001 * found[0] + 0.01 * int(s[1:]), 1e-6),
+            condition=c, subject=s, bag=f"{s}_{c}_{i}", moisture_before=found, moisture_after=[],
+        )
+        for s in codes for c, found in moistures.items() for i in range(3)
+    ]  # fmt: skip
+    options = FitOptions(**QUICK, rounds=3)
+    results.write(fit_records(records, double.HereditaryModel(), options), tmp_path)
+    files = {path: path.read_bytes() for path in tmp_path.rglob("*.yaml")}
+    assert len(files) > 1
+    kept = tmp_path / codes[0] if several else tmp_path
+    kept.mkdir(exist_ok=True)
+    (kept / "checkpoint_natural_pso.json").write_text("{}")
+    options = replace(options, resume=True)
+    cut = fit_records(records, double.HereditaryModel(), options, folder=tmp_path)
+    lost = f"{codes[0]} natural" if several else "natural"
+    assert cut.missing == [lost] and len(cut.fits) == 2 * len(codes) - 1 and not cut.stopped
+    assert any("'natural' is lost" in p and "not a checkpoint" in p for p in cut.problems)
+    results.write(cut, tmp_path)
+    own = {p: text for p, text in files.items() if "S02" not in str(p)}
+    assert own and all(path.read_bytes() == text for path, text in own.items())
+    assert files.keys() <= set(tmp_path.rglob("*.yaml"))
+
+
 def test_resumed_fit_equals_the_uninterrupted_one(double, tmp_path: Path) -> None:
     options = FitOptions(
         full_order=False, profiles=False, bootstrap=0, bias_pairs=0, grid=3, rounds=12

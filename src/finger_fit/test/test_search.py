@@ -111,6 +111,21 @@ def test_checkpoint_is_written_after_every_round(tmp_path: Path) -> None:
     assert seen == [1, 2, 3, 4]
 
 
+def test_a_disk_that_is_full_for_a_while_costs_checkpoints_alone(tmp_path: Path) -> None:
+    path = tmp_path / "full" / "c.json"
+    path.parent.write_text("no folder")
+
+    def free(number: int, *_: object) -> None:
+        if number == 2:
+            path.parent.unlink()
+
+    found = search("pso", bowl, FREE, start(), 4, 0, path, progress=free)
+    whole = search("pso", bowl, FREE, start(), 4, 0)
+    assert found.complete and "cannot be written" in found.unsaved and not whole.unsaved
+    np.testing.assert_array_equal(found.candidates, whole.candidates)
+    assert len(json.loads(path.read_text())["costs"]) == 4
+
+
 def test_checkpoint_of_another_search_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "c.json"
     search("pso", bowl, FREE, start(), 3, 0, path, key="data A")

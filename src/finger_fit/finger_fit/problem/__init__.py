@@ -7,6 +7,7 @@ from .cost import (
     SMALLEST_FORCE,
     AreaCorrection,
     AreaModel,
+    DataError,
     FitProblem,
     force_limit_of,
     material_of,

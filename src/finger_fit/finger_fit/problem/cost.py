@@ -34,6 +34,10 @@ SMALLEST_FORCE = 0.05
 """N; areas under less are too small to compare."""
 
 
+class DataError(InputError):
+    """The trials of a condition allow no fit."""
+
+
 class AreaModel(Protocol):
     """What a fit needs of a model: the space of its parameters, and areas.
 
@@ -121,7 +125,7 @@ class FitProblem:
         self.starts = np.concatenate([[0], np.cumsum(lengths)])
         raw = np.where(np.concatenate([t.low for t in self.trials]), options.low_force_weight, 1.0)
         if not raw.any():
-            raise InputError(
+            raise DataError(
                 f"every frame of these trials lies below low_force {options.low_force:g} N, where "
                 "frames weigh nothing; lower low_force or raise low_force_weight"
             )

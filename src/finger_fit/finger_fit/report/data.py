@@ -21,7 +21,11 @@ def quality(result: FitResult) -> str:
     conditions = {*result.fits, *result.missing}
     words = {"fail": "<b class=bad>fails</b>", "note": "note", "ok": "<span class=final>ok</span>"}
     rows = [
-        ["fit", words["note"], f"{escape(name)}: interrupted, not checked"]
+        [
+            "fit",
+            words["note"],
+            f"{escape(name)}: {'interrupted' if result.stopped else 'lost'}, not checked",
+        ]
         for name in result.unfinished
     ]
     for name in dict.fromkeys(c.name for q in checked.values() for c in q.checks):

@@ -110,7 +110,7 @@ class ConditionFit:
     top_costs (C,): best distinct candidates. bias_corrected: empty without bias pairs; samples (B,
     N): bootstrap. areas (n,): the model's areas (m²) at the frames; goodness: R² there; curves: at
     every step of each trial's drive. status: "final", "not checked", "not final" or "interrupted",
-    with reasons.
+    with reasons. unsaved: why a checkpoint could not be written, empty where all were.
     """
 
     condition: str
@@ -140,6 +140,7 @@ class ConditionFit:
     seconds: dict[str, float] = field(default_factory=dict)
     quality: Quality | None = None
     indentation: IndentationFit | None = None
+    unsaved: str = ""
 
     @property
     def space(self) -> ParameterSpace:
@@ -301,7 +302,8 @@ class FitResult:
     of the force, J (mm⁴) and the headline quantity; deformed: for the report's example trial.
     subjects: of several subjects, the result of each; `fits` then holds all of them, named "SUBJECT
     CONDITION". contrasts: between the conditions of a subject. stopped: interrupted; missing:
-    conditions that were not begun then.
+    conditions and subjects that were not begun then, or are lost for a reason that is not their
+    data.
     """
 
     options: FitOptions
@@ -350,12 +352,12 @@ class FitResult:
 
     @property
     def interrupted(self) -> bool:
-        """Whether any condition was interrupted, or is missing because the fit was."""
+        """Whether the fit was stopped, or is without a condition that its data allow."""
         return self.stopped or bool(self.unfinished)
 
     @property
     def unfinished(self) -> list[str]:
-        """Conditions that were interrupted, or are missing because the fit was."""
+        """Conditions and subjects that were interrupted, or are missing."""
         cut = [name for name, fit in self.fits.items() if fit.status == "interrupted"]
         return [*cut, *self.missing]
 

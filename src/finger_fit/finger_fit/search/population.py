@@ -44,13 +44,14 @@ class Search:
     """What a search evaluated.
 
     candidates (R, C, N), costs (R, C) of R rounds with C candidates each; complete: all rounds were
-    run.
+    run; unsaved: why a checkpoint could not be written, empty where all were.
     """
 
     name: str
     candidates: np.ndarray
     costs: np.ndarray
     complete: bool = True
+    unsaved: str = ""
 
     @property
     def best(self) -> tuple[np.ndarray, float]:
@@ -191,8 +192,9 @@ def search(
 
     name: "pso", "de" or "cmaes"; checkpoint: file of what was evaluated, written after every round;
     resume: take its rounds as done; key: names the data and options that the cost depends on.
-    Ctrl-C, and Stopped from the progress callback, end the search with what was evaluated. Raises
-    InputError for a checkpoint of another search.
+    Ctrl-C, and Stopped from the progress callback, end the search with what was evaluated; a
+    checkpoint that cannot be written does not. Raises InputError for a checkpoint of another
+    search.
     """
     optimizer = _optimizer(name, coordinates.of(start), coordinates.box, seed)
     identity = {
@@ -205,7 +207,7 @@ def search(
     done_points, done_costs = _load(checkpoint, identity) if checkpoint and resume else ([], [])
     points: list[np.ndarray] = []
     costs: list[np.ndarray] = []
-    complete = False
+    complete, unsaved = False, ""
     try:
         for index in range(rounds):
             asked = coordinates.parameters(optimizer.ask())
@@ -222,7 +224,10 @@ def search(
             points.append(asked)
             costs.append(found)
             if checkpoint is not None and index >= len(done_points):
-                _save(checkpoint, identity, points, costs)
+                try:
+                    _save(checkpoint, identity, points, costs)
+                except (InputError, OSError) as error:
+                    unsaved = unsaved or str(error)
             if progress is not None:
                 best = Search(name, np.array(points), np.array(costs)).best
                 progress(index + 1, rounds, best[1], best[0])
@@ -230,7 +235,7 @@ def search(
     except (KeyboardInterrupt, Stopped):
         if not points:
             raise
-    return Search(name, np.array(points), np.array(costs), complete)
+    return Search(name, np.array(points), np.array(costs), complete, unsaved)
 
 
 def _save(

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from finger_common.errors import InputError
 from finger_model.fem.area_model import FullOrderAreas
 
 from ..engine import Engine, LocalEngine
@@ -20,7 +19,7 @@ from ..full_order import BetterModel, FullOrder, check, correct
 from ..nuisance.estimate import ROUNDS, NuisanceModel, Settled
 from ..nuisance.geometry import FullOrderGeometry, PopulationGeometry, geometry_responses
 from ..nuisance.result import nuisance_result
-from ..problem import FitProblem, fit_power_law, robust_factor
+from ..problem import DataError, FitProblem, fit_power_law, robust_factor
 from ..results import ConditionFit, CrossCheck, indentation_fit
 from ..search import LocalFit, Search, Stopped, all_free, best_points, refine, search, search_grid
 from ..uncertainty import (
@@ -81,6 +80,7 @@ def fit_condition(
     fit.areas, fit.curves = problem.areas(fit.parameters)[0], drive_areas(problem, fit.parameters)
     fit.indentation = indentation_fit(problem, fit.parameters)
     fit.goodness = goodness(problem, fit.areas, fit.power_law, problem.options.seed)
+    fit.unsaved = stages.unsaved
     return fit
 
 
@@ -103,6 +103,7 @@ class _Stages:
         self.reduced = not isinstance(problem.model, FullOrderAreas)
         self.coordinates = all_free(problem)
         self.start = np.empty((0, len(problem.space)))
+        self.unsaved = ""
 
     def search(self) -> ConditionFit:
         """Grid, PSO and power law; "interrupted" where grid or PSO did not end."""
@@ -119,7 +120,7 @@ class _Stages:
         parameters, cost = min((grid.best, pso.best), key=lambda found: found[1])
         if pso.complete and not np.isfinite(cost):
             highest = max(float(trial.force.max()) for trial in problem.trials)
-            raise InputError(
+            raise DataError(
                 f"no finger of the search box that was tried carries these presses, of up to "
                 f"{highest:.3g} N: the model cannot follow them; check the units of force and "
                 "area, give --bounds of stiffer tissue, or a lower --target-force"
@@ -140,7 +141,7 @@ class _Stages:
     def run(self, optimizer: str) -> Search:
         """One population search from the best grid points, with its checkpoint."""
         file = f"checkpoint_{self.progress.condition or 'all'}_{optimizer}.json"
-        return search(
+        found = search(
             optimizer,
             self.problem.cost,
             self.coordinates,
@@ -152,6 +153,8 @@ class _Stages:
             self.improving(optimizer),
             self.problem.key(),
         )
+        self.unsaved = self.unsaved or found.unsaved
+        return found
 
     def polish_best(self, fit: ConditionFit) -> None:
         """Polish the best candidate, and let the other optimisers check it."""

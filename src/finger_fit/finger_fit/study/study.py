@@ -27,7 +27,15 @@ from ..engine import Engine, LocalEngine, engine_for
 from ..fingers import Fingers
 from ..full_order import FullOrder
 from ..options import FitOptions
-from ..problem import Exclusion, FitProblem, FitTrial, finger_of, material_of, prepare_all
+from ..problem import (
+    DataError,
+    Exclusion,
+    FitProblem,
+    FitTrial,
+    finger_of,
+    material_of,
+    prepare_all,
+)
 from ..quality import judge, quality_of, screen
 from ..results import ConditionFit, Finger, FitResult, codes_of, contrasts
 from ..search import Stopped
@@ -41,6 +49,9 @@ from .provenance import provenance
 
 INTERRUPTIONS = (KeyboardInterrupt, Stopped)
 """What ends a fit; what was fitted before is kept."""
+
+OF_THE_DATA = (DataError, ModelError)
+"""Errors for which a condition has no fit; others may not come again."""
 
 UNNAMED = "unnamed"
 """Subject of trials without a code, beside others that have one."""
@@ -110,13 +121,16 @@ def fit_records(
         own = {subject or UNNAMED: found for subject, found in sorted(subjects.items())}
         outcomes = work.on_cluster(own) if options.dask else work.one_by_one(own)
         parts: dict[str, FitResult] = {}
+        missing: list[str] = []
         tried = 0
         for name, found in outcomes:
             tried += 1
             if isinstance(found, FingerError):
                 notes.append(f"subject {name}: {found}")
+                missing += [] if isinstance(found, OF_THE_DATA) else [name]
                 continue
             parts[name] = found
+            missing += [f"{name} {condition}" for condition in found.missing]
             _exclude(found, exclusions, name)
             notes += [f"subject {name}: {note}" for note in found.problems]
         if tried < len(own):
@@ -131,6 +145,7 @@ def fit_records(
         subjects=parts,
         contrasts=[found for part in parts.values() for found in part.contrasts],
         stopped=tried < len(own) or any(part.stopped for part in parts.values()),
+        missing=missing,
     )
 
 
@@ -226,7 +241,7 @@ class _Work:
                 return
             fitted = True
             yield name, part
-            if part.interrupted:
+            if part.stopped:
                 return
 
     def on_cluster(
@@ -244,7 +259,7 @@ class _Work:
         groups, notes = group_trials(trials, self.options, self.conditions)
         finger = self.fingers.of_subject(trials[0].subject or UNNAMED)
         fits: dict[str, ConditionFit] = {}
-        stopped = False
+        stopped = lost = False
         left = list(groups)
         for name, group in groups.items():
             if len(group) < SMALLEST_CONDITION:
@@ -265,23 +280,36 @@ class _Work:
                     raise
                 stopped = True
                 break
-            except FingerError as error:
+            except OF_THE_DATA as error:
                 left.remove(name)
                 wide = isinstance(error, ModelError) and self.options.bounds
                 remedy = f"; narrow the bounds {', '.join(self.options.bounds)}" if wide else ""
                 notes.append(f"condition '{name}' is not fitted: {error}{remedy}")
                 continue
+            except FingerError as error:
+                lost = True
+                notes.append(
+                    f"condition '{name}' is lost: {error}; parameters.yaml and subjects/ are left "
+                    "as they were: fit again"
+                )
+                continue
+            if fit.unsaved:
+                notes.append(
+                    f"condition '{name}': a checkpoint, which only --resume needs, was not "
+                    f"written: {fit.unsaved}"
+                )
             fits[name] = fit
             left.remove(name)
             if fit.status == "interrupted":
                 stopped = True
                 break
         if not fits:
-            raise InputError(f"no condition can be fitted ({'; '.join(notes)})")
+            kind = InputError if lost else DataError
+            raise kind(f"no condition can be fitted ({'; '.join(notes)})")
         result = FitResult(self.options, fits, [], notes, stopped=stopped, missing=left)
         if not result.unfinished and material_of(result.model) is not None:
             result.problems += _on_parameter_files(fits)
-        if not result.interrupted:
+        if not result.stopped:
             try:
                 result.contrasts = contrasts(fits, codes_of(trials))
                 _further(result, self.engine)
