@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -156,6 +157,42 @@ def test_a_folder_with_a_fit_of_another_subject_is_refused(
     assert "holds an earlier fit of P02, who are not among these trials" in capsys.readouterr().err
     assert [p.name for p in tmp_path.iterdir()] == ["fit.json"]
     assert (tmp_path / "fit.json").read_text() == earlier
+
+
+@pytest.mark.parametrize("blocked", ["report.html", "fit.json"])
+def test_a_fit_whose_files_cannot_be_written_is_shown(
+    bags: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], blocked: str
+) -> None:
+    (tmp_path / "fit" / blocked).mkdir(parents=True)
+    assert in_process(bags, "-o", tmp_path / "fit", "--rounds", "2", *QUICK) == 2
+    shown, error = capsys.readouterr()
+    assert re.search(r"natural +│ 5", shown) and "kPa (95 %)" in shown
+    assert f"{blocked}: is a folder" in error and "report:" not in shown
+    whole = blocked == "report.html"
+    assert (("results and parameters are written, the report is not") in error) == whole
+    assert (tmp_path / "fit" / "parameters.yaml").is_file() == whole
+
+
+def test_two_fits_do_not_write_into_one_folder_at_once(
+    bags: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The lock of a process that was killed does not stay."""
+    out = tmp_path / "fit"
+    holds = (
+        "import sys, time; from pathlib import Path; from finger_fit.results import alone_in\n"
+        "with alone_in(Path(sys.argv[1])): print('held', flush=True); time.sleep(600)"
+    )
+    command = [sys.executable, "-c", holds, str(out)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout is not None and other.stdout.readline() == "held\n"
+        assert in_process(bags, "-o", out, "--rounds", "2", *QUICK) == 2
+        assert "another fit is writing there; wait" in capsys.readouterr().err
+        assert not list(out.iterdir())
+        other.kill()
+    assert in_process(bags / "natural_00", "-o", out, "--rounds", "2", *QUICK) == 2
+    assert "no condition can be fitted" in capsys.readouterr().err
+    assert in_process(bags / "natural_00", "-o", tmp_path / "new", "--rounds", "2", *QUICK) == 2
+    assert not (tmp_path / "new").exists()
 
 
 def test_a_finger_outside_the_population_box_is_told_what_a_fit_can_do(

@@ -34,7 +34,7 @@ from .nuisance_names import name_of
 from .options import FitOptions
 from .report_units import CUT_NOTE, MM4, interval_text, three_digits
 from .results import ConditionFit, FitResult
-from .study import fit_bags, reading
+from .study import NotWritten, fit_bags, reading
 
 EXAMPLE = (
     "finger-fit out/study/* -o out/fit\n"
@@ -171,6 +171,36 @@ def unknowns(fits: Mapping[str, ConditionFit]) -> Iterator[str]:
             yield text.format(names=", ".join(names), words=words)
 
 
+def show(result: FitResult) -> None:
+    """Print a fit: table, notes, what was left out, intervals."""
+    console = Console()
+    console.print(summary(result))
+    for note in result.problems:
+        print(f"note: {plain(note)}")
+    for exclusion in result.exclusions:
+        print(f"excluded: {plain(exclusion.label)}: {plain(exclusion.reason)}")
+    for name, fit in result.fits.items():
+        if intervals := headline_intervals(fit):
+            print(f"{plain(name)}: {intervals}")
+        if fit.indentation is not None:
+            used = fit.indentation
+            print(
+                f"{plain(name)}: indentation of {len(used.zeros)} presses used, "
+                f"{1e6 * used.rms:.0f} µm from the model (RMS)"
+            )
+        bounds = fit.covariance.active if fit.covariance is not None else {}
+        if bounds:
+            symbols = ", ".join(fit.space[parameter].symbol for parameter in bounds)
+            print(f"{plain(name)}: on a bound of the search box: {symbols}")
+        for reason in fit.reasons:
+            print(f"{plain(name)}: {fit.status}: {plain(reason)}")
+    headlines = [fit.found(fit.space.headline) for fit in result.fits.values()]
+    if any(any(found.cut + found.data_cut) for found in headlines):
+        print(CUT_NOTE)
+    for sentence in unknowns(result.fits):
+        print(sentence)
+
+
 def command(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns the exit code."""
     given = list(sys.argv[1:] if argv is None else argv)
@@ -202,37 +232,16 @@ def command(argv: Sequence[str] | None = None) -> int:
 
         browser = find_browser()  # before the fit, which is long
     fingers = Fingers.load(geometry_files(args.geometry), args.model or "", args.law)
-    with Screen(args.quiet) as screen:
-        result = fit_bags(
-            args.bags, options, args.output, args.condition, fingers, screen, settings,
-            shlex.join(["finger-fit", *given]),
-        )  # fmt: skip
-    console = Console()
-    console.print(summary(result))
-    for note in result.problems:
-        print(f"note: {plain(note)}")
-    for exclusion in result.exclusions:
-        print(f"excluded: {plain(exclusion.label)}: {plain(exclusion.reason)}")
-    for name, fit in result.fits.items():
-        if intervals := headline_intervals(fit):
-            print(f"{plain(name)}: {intervals}")
-        if fit.indentation is not None:
-            used = fit.indentation
-            print(
-                f"{plain(name)}: indentation of {len(used.zeros)} presses used, "
-                f"{1e6 * used.rms:.0f} µm from the model (RMS)"
-            )
-        bounds = fit.covariance.active if fit.covariance is not None else {}
-        if bounds:
-            symbols = ", ".join(fit.space[parameter].symbol for parameter in bounds)
-            print(f"{plain(name)}: on a bound of the search box: {symbols}")
-        for reason in fit.reasons:
-            print(f"{plain(name)}: {fit.status}: {plain(reason)}")
-    headlines = [fit.found(fit.space.headline) for fit in result.fits.values()]
-    if any(any(found.cut + found.data_cut) for found in headlines):
-        print(CUT_NOTE)
-    for sentence in unknowns(result.fits):
-        print(sentence)
+    try:
+        with Screen(args.quiet) as screen:
+            result = fit_bags(
+                args.bags, options, args.output, args.condition, fingers, screen, settings,
+                shlex.join(["finger-fit", *given]),
+            )  # fmt: skip
+    except NotWritten as error:
+        show(error.result)
+        raise
+    show(result)
     page = Path(args.output) / "report.html"
     print(f"report: {plain(page)}")
     if browser:

@@ -20,13 +20,9 @@ def quality(result: FitResult) -> str:
     checked = {n: f.quality for n, f in result.fits.items() if f.quality is not None}
     conditions = {*result.fits, *result.missing}
     words = {"fail": "<b class=bad>fails</b>", "note": "note", "ok": "<span class=final>ok</span>"}
+    why = "interrupted" if result.stopped else "lost"
     rows = [
-        [
-            "fit",
-            words["note"],
-            f"{escape(name)}: {'interrupted' if result.stopped else 'lost'}, not checked",
-        ]
-        for name in result.unfinished
+        ["fit", words["note"], f"{escape(name)}: {why}, not checked"] for name in result.unfinished
     ]
     for name in dict.fromkeys(c.name for q in checked.values() for c in q.checks):
         # Not all conditions have all checks, such as that of an indentation.

@@ -7,12 +7,15 @@ folder."""
 from __future__ import annotations
 
 import json
+import os
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from finger_common.errors import InputError, listed
 from finger_common.files import atomic_write, load_json
+from finger_common.folder_lock import take_lock
 from finger_common.subject_code import is_subject, may_be_one
 from finger_model.subjects import subject_file
 
@@ -22,7 +25,7 @@ from .parameter_files import own_files, parameter_files, subject_sets
 from .tables import write_tables
 
 
-def check_writable(folder: Path) -> None:
+def _check_writable(folder: Path) -> None:
     """Raise InputError for a folder that no result could be written into."""
     existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     try:
@@ -31,6 +34,31 @@ def check_writable(folder: Path) -> None:
         raise InputError(
             f"{folder}: nothing can be written there ({error.strerror}); give another folder"
         ) from None
+
+
+@contextmanager
+def alone_in(folder: Path) -> Iterator[None]:
+    """Keep other fits from writing into a folder, which is made if need be; ends with the process.
+
+    Raises InputError while another fit writes there, and for a folder that nothing could be written
+    into. File systems without locks are not guarded.
+    """
+    _check_writable(folder)
+    made = not folder.exists()
+    folder.mkdir(parents=True, exist_ok=True)
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        if not take_lock(handle):
+            raise InputError(
+                f"{folder}: another fit is writing there; wait until it has ended, or give another "
+                "folder"
+            )
+        yield
+    finally:
+        os.close(handle)
+        if made:
+            with suppress(OSError):  # it holds the fit
+                folder.rmdir()
 
 
 def check_folder(folder: Path, fingers: Iterable[Finger]) -> None:

@@ -8,4 +8,4 @@ from .condition import fit_condition, polish
 from .grouping import group_trials
 from .progress import Report
 from .provenance import provenance
-from .study import draw, fit_bags, fit_records
+from .study import NotWritten, draw, fit_bags, fit_records

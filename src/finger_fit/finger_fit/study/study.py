@@ -434,52 +434,70 @@ def fit_bags(
     for all; settings: how the bags are read, by `reading`; command: how the fit was asked for, for
     its provenance. Of several subjects, each has its own folder in `output`. Nothing is written
     without `output`. Raises InputError for bags that cannot be fitted, and for an output folder
-    that holds a fit of other subjects.
+    that holds a fit of other subjects or that another fit writes into; NotWritten for files that
+    cannot be written.
     """
     options = options or FitOptions()
     fingers = Fingers.of(model or ReducedModel.load())
     options.check_names(fingers.space, fingers.geometries)
     folder = None if output is None else Path(output)
-    if folder is not None:
-        results.check_writable(folder)
-    progress = Progress("", len(fingers.space), report)
-    with progress.timed("load"):
-        loaded = load(paths, settings or reading(options), progress.count("load"))
-    if not loaded.records:
-        raise nothing_to_fit(loaded.exclusions)
-    if folder is not None:
-        tried = {Finger(r.subject, finger_of(r)) for r in loaded.records}
-        results.check_folder(folder, tried | {Finger(e.subject, "") for e in loaded.exclusions})
-    result = fit_records(loaded.records, fingers, options, conditions, folder, report)
-    result.exclusions = [*loaded.exclusions, *result.exclusions]
-    for name, part in result.subjects.items():
-        _exclude(part, loaded.exclusions, name)
-    result.problems = [*loaded.problems, *result.problems]
-    result.lost = loaded.lost
-    for part in (result, *result.subjects.values()):
-        part.sources = provenance(part, options, loaded.sources, command)
-    result.seconds.update(progress.seconds)
-    for fit in result.fits.values():
-        for stage, spent in fit.seconds.items():
-            result.seconds[stage] = result.seconds.get(stage, 0.0) + spent
-    result.output = folder
-    if folder is not None:
-        _write(result, folder, progress)
+    with contextlib.nullcontext() if folder is None else results.alone_in(folder):
+        progress = Progress("", len(fingers.space), report)
+        with progress.timed("load"):
+            loaded = load(paths, settings or reading(options), progress.count("load"))
+        if not loaded.records:
+            raise nothing_to_fit(loaded.exclusions)
+        if folder is not None:
+            tried = {Finger(r.subject, finger_of(r)) for r in loaded.records}
+            left_out = {Finger(e.subject, "") for e in loaded.exclusions}
+            results.check_folder(folder, tried | left_out)
+        result = fit_records(loaded.records, fingers, options, conditions, folder, report)
+        result.exclusions = [*loaded.exclusions, *result.exclusions]
+        for name, part in result.subjects.items():
+            _exclude(part, loaded.exclusions, name)
+        result.problems = [*loaded.problems, *result.problems]
+        result.lost = loaded.lost
+        for part in (result, *result.subjects.values()):
+            part.sources = provenance(part, options, loaded.sources, command)
+        result.seconds.update(progress.seconds)
+        for fit in result.fits.values():
+            for stage, spent in fit.seconds.items():
+                result.seconds[stage] = result.seconds.get(stage, 0.0) + spent
+        result.output = folder
+        if folder is not None:
+            _write(result, folder, progress)
     return result
 
 
+class NotWritten(InputError):
+    """Files of a fit cannot be written; result: the fit."""
+
+    def __init__(self, message: str, result: FitResult) -> None:
+        super().__init__(message)
+        self.result = result
+
+
 def _write(result: FitResult, folder: Path, progress: Progress) -> None:
-    """Files first, then the report; a stopped fit writes what it found."""
+    """Files first, then the report; a stopped fit writes what it found. Raises NotWritten."""
     from ..report import write_report  # it imports matplotlib
 
-    results.write(result, folder)
-    with contextlib.suppress(Stopped):
-        progress.count("report")(0, 1)
-    with progress.timed("report"):
-        draw(result)
-        write_report(result, folder)
-    result.seconds.update(progress.seconds)
-    results.write(result, folder)
+    state = "not all files of the fit are written"
+    try:
+        results.write(result, folder)
+        state = "results and parameters are written, the report is not"
+        with contextlib.suppress(Stopped):
+            progress.count("report")(0, 1)
+        with progress.timed("report"):
+            draw(result)
+            write_report(result, folder)
+        state = "results, parameters and report are written, the time that the report took is not"
+        result.seconds.update(progress.seconds)
+        results.write(result, folder)
+    except (FingerError, OSError) as error:
+        reason = str(error)
+        if isinstance(error, OSError):
+            reason = f"{error.filename or folder}: {error.strerror}; check rights and disk"
+        raise NotWritten(f"{reason}; {state}", result) from None
     with contextlib.suppress(Stopped):
         progress.count("report")(1, 1)
 
