@@ -21,6 +21,7 @@ from finger_model.geometry import Geometry
 from finger_model.history import CSV_HEADER
 from finger_model.laws import StandardLinearSolid
 from finger_model.parameter_sets import ParameterSet, ParameterSets
+from finger_model.reduced import ReducedModel
 
 
 @pytest.fixture
@@ -158,6 +159,32 @@ def test_where_the_reduced_model_cannot_the_full_order_goes_on(tmp_path, capsys,
     error = capsys.readouterr().err
     assert "using the full-order model: the reduced model cannot follow the force of 0.2 N" in error
     assert out.read_bytes() == first
+
+
+def test_a_reduced_model_brings_its_own_lengths(tmp_path, force_file, capsys):
+    """As with --geometry of the finger that it was made for; another finger is refused."""
+    shipped = ReducedModel.load()
+    own = Geometry(epidermis_thickness=0.2e-3)  # outside the population box
+    meta = {**shipped.meta, "geometry": own.to_dict(), "geometry_hash": own.hash()}
+    ReducedModel(shipped.arrays, meta).save(tmp_path / "own.npz")
+    (tmp_path / "own.yaml").write_text("epidermis_thickness: 0.0002\n")
+    (tmp_path / "other.yaml").write_text("epidermis_thickness: 0.0003\n")
+    sets = [ParameterSet("dry", 40.0, 1.0, tuple(StandardLinearSolid().vector()))]
+    ParameterSets(sets, own.hash()).save(tmp_path / "fit.yaml")
+    simulate = [
+        "simulate",
+        "--force",
+        str(force_file),
+        "--reduced-model",
+        str(tmp_path / "own.npz"),
+    ]
+    assert run(_main, [*simulate, "--geometry", str(tmp_path / "own.yaml")]) == 0
+    wanted = capsys.readouterr().out
+    for arguments in ([], ["--parameters", str(tmp_path / "fit.yaml")]):
+        assert run(_main, [*simulate, *arguments]) == 0
+        assert capsys.readouterr().out == wanted
+    assert run(_main, [*simulate, "--geometry", str(tmp_path / "other.yaml")]) == 2
+    assert "was made for another geometry" in capsys.readouterr().err
 
 
 def test_contradictory_options_are_refused(tmp_path, force_file, capsys):

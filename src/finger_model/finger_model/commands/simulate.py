@@ -136,8 +136,9 @@ def run(arguments: argparse.Namespace) -> int:
     names = ("force", "geometry", "material", "parameters", "reduced_model")
     inputs = [getattr(arguments, name) for name in names]
     check_outputs([arguments.output, arguments.plot, arguments.vtu], inputs)
-    geometry, material = _finger(arguments)
     time, force, pull = read_load_csv(arguments.force)
+    solver = _solver(arguments, pull)
+    geometry, material = _finger(arguments)
     if not np.any(force > 0.0):
         print(
             f"{arguments.force}: no force above zero, so nothing touches; a pressing force is "
@@ -149,7 +150,6 @@ def run(arguments: argparse.Namespace) -> int:
             f"{arguments.force}: 'tangential_force_n' needs friction, and the material has none; "
             "set 'friction' in the material file"
         )
-    solver = _solver(arguments, pull)
     finger = geometry, material, time, force
     found: ContactHistory | PullHistory | SolidHistory
     if solver == "solid":
@@ -218,7 +218,7 @@ def _finger(arguments: argparse.Namespace) -> tuple[Geometry, ConstitutiveLaw]:
         if arguments.condition or arguments.moisture is not None:
             raise InputError("--condition and --moisture choose a set of --parameters: give it")
         material = load_material(arguments.material) if arguments.material else None
-        return given or Geometry(), material or StandardLinearSolid()
+        return given or _built_for(arguments), material or StandardLinearSolid()
     if arguments.material:
         raise InputError("--material and --parameters: give one of the two")
     if arguments.condition and arguments.moisture is not None:
@@ -236,14 +236,24 @@ def _finger(arguments: argparse.Namespace) -> tuple[Geometry, ConstitutiveLaw]:
                 f"{arguments.parameters} ({ends}): the nearest set is used",
                 file=sys.stderr,
             )
-    geometry = given or sets.geometry or Geometry()
+    geometry = given or sets.geometry or _built_for(arguments)
     if sets.geometry_hash not in ("", geometry.hash()):
         raise InputError(
             f"{arguments.parameters}: fitted with another finger than "
-            f"{arguments.geometry or 'the default one'}; give the geometry of the fit with "
+            f"{arguments.geometry or arguments.reduced_model or 'the default one'}; give the "
+            "geometry of the fit with "
             "--geometry"
         )
     return geometry, sets.law().with_vector(vector)
+
+
+def _built_for(arguments: argparse.Namespace) -> Geometry:
+    """The geometry of the reduced model's file; the default one without a file."""
+    if not arguments.reduced_model:
+        return Geometry()
+    from ..finger import load_reduced
+
+    return load_reduced(arguments.reduced_model).geometry
 
 
 def _solid(
