@@ -200,6 +200,16 @@ def test_a_fault_of_one_condition_keeps_the_others(double) -> None:
         fit_records(weak, double.HereditaryModel(), options)
 
 
+def test_a_poor_reduced_model_is_named_once(double) -> None:
+    class Poor(double.HereditaryModel):
+        doubt = "the reduced model is less exact"
+
+    records = [double.make_record(i, 0.7 + 0.2 * i) for i in range(6)]
+    records = [replace(r, subject=f"S0{i % 2}", bag=f"b{i}") for i, r in enumerate(records)]
+    result = fit_records(records, Poor(), FitOptions(**QUICK, rounds=2))
+    assert result.problems.count(Poor.doubt) == 1
+
+
 def test_a_subject_has_its_own_exclusions(double) -> None:
     records = []
     for subject in ("S01", "S02"):

@@ -23,11 +23,12 @@ from finger_model.laws import LAWS, GeneralizedMaxwell, from_branches
 from finger_model.laws.standard_linear_solid import PARAMETERS
 from finger_model.material import Material
 from finger_model.reduced import ReducedModel
-from finger_model.reduced.error import GOAL_RMS, GOAL_WORST, error_table, pair_error
+from finger_model.reduced.error import error_table, pair_error
 from finger_model.reduced.force_histories import (
     random_history,
     random_parameters,
 )
+from finger_model.reduced.goals import GOAL_RMS, GOAL_WORST, missed
 from finger_model.reduced.training_runs import Run, branch_case, held_out_case, run_case
 
 NATURAL = np.array([80e3, 25.38e3, 0.5, 1795e3])
@@ -367,6 +368,16 @@ def test_a_saved_file_reads_back_with_the_same_hash(model: ReducedModel, tmp_pat
     again = ReducedModel.load(tmp_path / "model.npz", Geometry())
     assert again.hash == model.hash
     assert again.measured_error == model.measured_error
+
+
+def test_a_file_that_states_a_poor_error_is_named(model: ReducedModel) -> None:
+    """A good one is not, nor one that states none."""
+    stated = model.measured_error
+    assert missed(stated) == "" and missed({}) == ""
+    for worse in ({"share_within": 0.9}, {"rms_max": 0.022}, {"worst_max": 0.05}):
+        assert "is less exact than" in missed({**stated, **worse})
+    words = missed({**stated, "rms_max": 0.022, "worst_max": 0.046, "indentation_max": 0.47})
+    assert "2.2 % RMS and 4.6 % at an instant" in words and "47 % of the indentation" in words
 
 
 def test_a_file_that_claims_another_geometry_is_refused(

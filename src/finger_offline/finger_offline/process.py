@@ -171,6 +171,8 @@ def _processed(
         result.notes.insert(0, f"areas measured with {told} of the area sensor")
     elif told:
         result.problems.append(f"areas are recorded, so that {told} is not used: give --images yes")
+    if estimator.model.doubt:
+        result.notes.insert(0, estimator.model.doubt)
     if population:
         result.notes.insert(0, GAVE_WAY)
     if events is not None and events.another_finger:

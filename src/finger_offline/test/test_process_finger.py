@@ -152,6 +152,18 @@ def test_an_earlier_recording_of_such_a_finger_needs_its_name(
     assert states(tmp_path / "out") == published
 
 
+def test_a_poor_model_file_is_named(tmp_path: Path) -> None:
+    shipped = ReducedModel.load()
+    live_recording(tmp_path / "live", [(shipped, ParameterSets.default())])
+    meta = {**shipped.meta, "measured_error": {**shipped.measured_error, "rms_max": 0.022}}
+    ReducedModel(shipped.arrays, meta).save(tmp_path / "poor.npz")
+    shipped.save(tmp_path / "good.npz")
+    for name, number in (("poor", 1), ("good", 0)):
+        options = ProcessOptions(model_file=str(tmp_path / f"{name}.npz"))
+        notes = process(tmp_path / "live", None, options).notes
+        assert sum("is less exact than" in note for note in notes) == number
+
+
 def test_a_named_finger_keeps_the_recorded_settings(tmp_path: Path) -> None:
     live_recording(tmp_path / "live", [(ReducedModel.load(), ParameterSets.default())])
     thin = load_reduced(geometry_file=THIN), ParameterSets.default()

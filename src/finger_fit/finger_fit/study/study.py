@@ -94,6 +94,7 @@ def fit_records(
             f"the force goes up to {highest:.2f} N, beyond the reduced model of the default "
             "finger: fitted with that of the population box"
         )
+    notes += dict.fromkeys(filter(None, (getattr(model, "doubt", "") for model in models)))
     if material_of(models[0]) is None:
         notes.append(
             "the model has no 'material', the law of its parameters: without it there is no "

@@ -51,12 +51,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Print the distribution; exit code 1 when it misses the limits of `reduced.error`."""
+    """Print the distribution; exit code 1 when it misses the limits of `reduced.goals`."""
     if arguments.workers < 1:
         raise InputError(f"--workers is {arguments.workers}, 1 or more are needed")
     from .. import figures
     from ..laws import law_of
     from ..reduced.error import error_table, pair_error
+    from ..reduced.goals import GOAL_SHARE
     from ..reduced.model import ReducedModel
     from ..reduced.training_runs import (
         branch_case,
@@ -100,7 +101,7 @@ def run(arguments: argparse.Namespace) -> int:
         figures.error_distribution(table, case, found, arguments.error_plot)
     if arguments.wide or arguments.branches:
         return 0
-    return 0 if table.share_within() >= 0.99 and table.none_beyond() else 1
+    return 0 if table.share_within() >= GOAL_SHARE and table.none_beyond() else 1
 
 
 def _population(arguments: argparse.Namespace) -> int:

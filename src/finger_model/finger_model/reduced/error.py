@@ -13,17 +13,12 @@ import numpy as np
 from finger_common.errors import ModelError
 
 from ..laws import law_of
+from .goals import GOAL_RMS, GOAL_WORST, LIMIT_RMS, LIMIT_WORST
 from .model import ReducedModel
 from .training_runs import Run
 
 COUNTED_FORCE = 0.1
 """N; rows below it do not count."""
-
-GOAL_RMS, GOAL_WORST, LIMIT_RMS, LIMIT_WORST = 0.01, 0.02, 0.015, 0.04
-"""Shares of the history's largest area.
-
-GOAL: RMS and worst instant of 99 % of the pairs; LIMIT: of every pair.
-"""
 
 
 class History(Protocol):

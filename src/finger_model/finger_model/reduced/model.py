@@ -25,6 +25,7 @@ from ..laws import ConstitutiveLaw, MaxwellLaw, ParameterSpace, StandardLinearSo
 from ..paper import SEARCH_BOX
 from . import kernels as rk
 from . import population
+from .goals import missed
 from .maps import GeometryMaps, Maps, PopulationMaps
 
 FORMAT = 3
@@ -163,6 +164,12 @@ class ReducedModel:
         # Over the population the largest errors are those of extreme fingers.
         figure = "rms_p90" if self.serves_population else "rms_p99"
         return float(self.error_of(parameters, force).get(figure, 0.01))
+
+    @property
+    def doubt(self) -> str:
+        """What to say of a model of one geometry whose file states an error beyond the goals; empty
+        for others."""
+        return "" if self.serves_population else missed(self.measured_error)
 
     @property
     def space(self) -> ParameterSpace:
