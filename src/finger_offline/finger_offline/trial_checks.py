@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from finger_bag.streams import AREA, SessionStreams, in_stamp_order
-from finger_bag.validate import FAIL, NOTE, OK, CheckedBag, Validation
+from finger_bag.validate import FAIL, MINIMUM_RATE, NOTE, OK, CheckedBag, Validation
 from finger_common.axes import directed, mostly_pulls, other_axis
 from finger_common.errors import listed
 from finger_common.flags import AreaFlag
@@ -71,6 +71,10 @@ the plate."""
 
 MOST_UNKNOWN = 0.3
 """Share of the frames in a press that may have no area."""
+
+USUAL, LONE, FEWEST_OTHERS = 0.9, 3.0, 5
+"""A single area is far above others that are this many or more when it is so many times this
+quantile of them, and of the areas beside it."""
 
 READINGS = 3
 """Moisture readings expected before and after each press (paper, section III)."""
@@ -235,6 +239,14 @@ def _check_areas(found: TrialSet, result: Validation) -> None:
             "areas in presses are negative or not finite, and count as none "
             f"({listed(unknown, 3, '; ')}); correct what writes them"
         )
+    whole = np.concatenate([t.area for t in found])
+    trials = np.repeat([t.index for t in found], [len(t.area) for t in found])
+    if len(lone := lone_areas(whole)):
+        named = (f"trial {trials[row]}: {whole[row] * 1e6:.0f} mm²" for row in lone)
+        words.append(
+            "single areas lie far above those before and after them "
+            f"({listed(named, 3, '; ')}); look at these frames, and leave out what is no area"
+        )
     if held:
         words.append(
             f"{held} areas in presses hold the one before, and count as new measurements; record "
@@ -272,6 +284,17 @@ def _check_indentation(found: TrialSet, result: Validation) -> None:
     if any(fault.certain for _, fault in faults):
         words.append("correct unit, sign and stamp in a mapping file")
     result.add("indentation", status, "; ".join(words) or "rises with the force in all trials")
+
+
+def lone_areas(area: np.ndarray) -> np.ndarray:
+    """Rows of areas (k,) that lie far above all others, and above those before and after them."""
+    known = np.nan_to_num(area)
+    touching = known[known > 0.0]
+    if len(touching) < FEWEST_OTHERS:
+        return np.empty(0, np.int64)
+    usual = np.quantile(touching, USUAL, method="lower")
+    beside = np.maximum(np.append(0.0, known[:-1]), np.append(known[1:], 0.0))
+    return np.flatnonzero((known > LONE * usual) & (known > LONE * beside))
 
 
 def _end_of(trial: TrialRecord) -> int:
@@ -366,6 +389,10 @@ def _check_sync(
     if lags is not None and abs(middle := float(np.median(lags))) > LONGEST_LAG:
         lag = middle
     if lag is None:
+        rate = (len(stamp) - 1) / seconds(stamp[-1] - stamp[0])
+        if rate < MINIMUM_RATE["wrench"]:
+            result.add(name, NOTE, f"unknown: a force of {rate:.1f} Hz does not tell it")
+            return
         usable = [t for t in found if np.count_nonzero(t.area > 0) >= MANY_AREAS]
         if len(usable) < MANY_PRESSES:
             result.add(name, NOTE, "unknown: no areas over a rising force")

@@ -15,6 +15,7 @@ from import_files import ABOUT, FRAMES, TIME, area_at, check_trials, csv, force_
 
 from finger_bag.cli import command
 from finger_bag.reader import open_bag
+from finger_bag.validate import validate
 from finger_common.errors import InputError
 from finger_offline.importing.settings import ImportSettings
 from finger_offline.importing.trial import import_trial
@@ -137,6 +138,36 @@ def test_bad_rows_are_named(
     with pytest.raises(InputError) as caught:
         import_trial(ImportSettings(**files), tmp_path / "bag")
     assert re.search(sentence, str(caught.value)), caught.value
+
+
+def test_a_marker_among_the_areas_is_named(files: dict[str, str], tmp_path: Path) -> None:
+    area = np.where(np.arange(len(FRAMES)) % 30 == 10, 9999.0, area_at(FRAMES))
+    csv(tmp_path / "area.csv", "time_s,area_mm2", FRAMES, area)
+    words = r"area 11 of 90 is 9999 mm², .*as are 2 more; .*leave its cell empty"
+    with pytest.raises(InputError, match=words):
+        import_trial(ImportSettings(**files), tmp_path / "bag")
+
+
+def test_a_single_area_far_above_the_others_is_noted(files: dict[str, str], tmp_path: Path) -> None:
+    for name, wrong in (("one", 1500.0), ("none", 0.0)):
+        area = area_at(FRAMES) + wrong * (np.arange(len(FRAMES)) == 16)
+        csv(tmp_path / "area.csv", "time_s,area_mm2", FRAMES, area)
+        import_trial(ImportSettings(**files), tmp_path / name)
+        result = validate(tmp_path / name)
+        noted = [c.detail for c in result.checks if c.name == "areas" and c.status == "note"]
+        assert result.fit and len(noted) == bool(wrong)
+        assert not wrong or re.search(
+            r"single areas lie far above .*\(trial 0: 15\d\d mm²\)", noted[0]
+        )
+
+
+def test_a_slow_force_says_nothing_of_the_clock(files: dict[str, str], tmp_path: Path) -> None:
+    csv(tmp_path / "force.csv", "time_s,force_n", FRAMES, force_at(FRAMES))
+    import_trial(ImportSettings(**files), tmp_path / "bag")
+    found = {c.name: c for c in validate(tmp_path / "bag").checks}
+    assert found["rate of wrench"].status == "fail"
+    sync = found["sync of force and image"]
+    assert sync.status == "note" and "does not tell it" in sync.detail
 
 
 def test_zeros_between_the_frames_are_told(files: dict[str, str], tmp_path: Path) -> None:

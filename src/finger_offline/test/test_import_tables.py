@@ -245,6 +245,14 @@ def test_columns_between_blanks_and_bars(
     check_trials(tmp_path / "bag")
 
 
+def test_quoted_cells_may_follow_a_blank(files: dict[str, str], tmp_path: Path) -> None:
+    rows = [line.split(",") for line in Path(files["force"]).read_text().splitlines()]
+    text = "\n".join(", ".join(f'"{cell}"' for cell in row) for row in rows)
+    Path(files["force"]).write_text(text)
+    import_trial(ImportSettings(**files), tmp_path / "bag")
+    check_trials(tmp_path / "bag")
+
+
 def test_commas_that_are_decimal_marks_and_separators_are_refused(
     files: dict[str, str], tmp_path: Path
 ) -> None:

@@ -122,7 +122,11 @@ def _text_rows(text: str, where: str) -> list[tuple[int, list[Any]]]:
     if not delimiter and 2 * sum(len(_words(line)) > 1 for line in sample) < len(sample):
         delimiter = ","
     if delimiter:
-        rows = csv.reader(io.StringIO("\n".join(line for _, line in lines)), delimiter=delimiter)
+        rows = csv.reader(
+            io.StringIO("\n".join(line for _, line in lines)),
+            delimiter=delimiter,
+            skipinitialspace=True,
+        )
         try:
             cells = [[cell.strip() for cell in row] for row in rows]
         except csv.Error as error:

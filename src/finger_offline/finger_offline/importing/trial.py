@@ -34,7 +34,7 @@ from ..image_areas import area_fields
 from ..image_settings import told_settings
 from ..indentation_checks import indentation_fault
 from ..lag import MAXIMUM_LAG, indentation_lag, lag_text
-from ..trial_checks import PLAUSIBLE_AREA
+from ..trial_checks import PLAUSIBLE_AREA, lone_areas
 from ..trial_split import TrialSettings
 from ..unloaded import pressed_force, reached_force
 from .force import Force, check_tare, presses_in, read_force, unloaded
@@ -405,6 +405,15 @@ class _Recording:
         high = max(result.areas, default=0.0)
         if not high > 0.0:
             raise InputError(f"{name}: no area above zero; check the column, or the image scale")
+        lone = lone_areas(areas := np.array(result.areas))
+        if len(lone) and np.delete(areas, lone).max() <= PLAUSIBLE_AREA[1] < high:
+            row = int(np.argmax(areas))
+            more = f", as are {len(lone) - 1} more" if len(lone) > 1 else ""
+            raise InputError(
+                f"{name}: area {row + 1} of {len(areas)} is {high * 1e6:.4g} mm², far above all "
+                f"others{more}; where it marks a frame without an area, leave its cell empty, else "
+                "correct it"
+            )
         if not PLAUSIBLE_AREA[0] <= high <= PLAUSIBLE_AREA[1]:
             remedy = "--area-unit" if settings.area else "--area-per-pixel or --calibration"
             raise InputError(
