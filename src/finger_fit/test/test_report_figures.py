@@ -8,17 +8,25 @@ from __future__ import annotations
 import itertools
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from matplotlib import pyplot as plt
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.text import Text
 
 from finger_common.errors import InputError
 from finger_fit.report import figure
-from finger_fit.report.figures import PALETTE, _plain_log_ticks, all_figures
+from finger_fit.report.figures import (
+    PALETTE,
+    _plain_log_ticks,
+    all_figures,
+    captions_of,
+    labels_of,
+)
 
 COLUMN = 7.2
 """inches; no figure is wider than two columns of a journal, so none is printed smaller."""
@@ -101,6 +109,42 @@ def test_reports_leave_the_backend_to_their_caller() -> None:
     """pyplot would choose one for the process: figures of a notebook then no longer show."""
     code = "import sys, finger_fit.report; sys.exit('matplotlib.pyplot' in sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def renamed(study: Any, names: list[str]) -> Any:
+    fits = [replace(fit, condition=name) for fit, name in zip(study.fits.values(), names)]
+    # The same conditions again: as many as names.
+    more = [replace(fits[i % len(fits)], condition=name) for i, name in enumerate(names)]
+    return replace(study, fits={fit.condition: fit for fit in more})
+
+
+@pytest.mark.filterwarnings("error")
+def test_long_and_foreign_names_of_conditions_stay_apart(study: Any) -> None:
+    names = [
+        "very dry skin after ten minutes of silica gel in a closed box p7",
+        "\u4e7e\u71e5\u3057\u305f\u76ae\u819a",
+        "moist (water of 30 degrees, 30 s), then wiped once with paper",
+        "very dry skin after twenty minutes of silica gel in a closed box",
+        "ξηρό δέρμα",
+        "natural",
+    ]
+    report = renamed(study, names)
+    labels = labels_of(report)
+    assert len(set(labels.values())) == len(names) and max(map(len, labels.values())) <= 18
+    assert labels["natural"] == "natural" and labels["ξηρό δέρμα"] == "ξηρό δέρμα"
+    caption = captions_of(report)["force_over_time"]
+    for name, label in labels.items():
+        assert (f"{label} = {name}" in caption) == (label != name)
+    for name, drawn in all_figures(report).items():
+        canvas = FigureCanvasAgg(drawn)
+        canvas.draw()
+        renderer = canvas.get_renderer()
+        whole = drawn.bbox
+        titles = [p._left_title for p in drawn.axes if p.get_visible()]
+        boxes = [t.get_window_extent(renderer) for t in titles if t.get_text()]
+        assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2)), name
+        boxes += [legend.get_window_extent(renderer) for legend in drawn.legends]
+        assert all(whole.x0 <= b.x0 and b.x1 <= whole.x1 + 1 for b in boxes), name
 
 
 def test_every_figure_comes_as_png_svg_and_pdf(written: Path) -> None:

@@ -17,6 +17,7 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties, fontManager, get_font
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FixedLocator, NullLocator
 
@@ -35,8 +36,16 @@ MARKERS = ("o", "s", "^", "D", "v", "P")
 SMALLEST = 8.0
 """pt, size of the smallest text of a figure that is printed at its own width."""
 
+FALLBACKS = (
+    "DejaVu Sans", "Noto Sans", "Arial Unicode MS", "Droid Sans Fallback", "WenQuanYi Zen Hei",
+    "WenQuanYi Micro Hei", "IPAexGothic", "IPAGothic", "NanumGothic", "MS Gothic", "SimSun",
+    "Malgun Gothic", "Noto Sans Arabic", "Noto Sans Hebrew", "Noto Sans Devanagari",
+)  # fmt: skip
+"""Fonts for letters that the serif ones do not have, where they are installed; of TrueType, as
+journals want in PDF."""
+
 STYLE: dict[Any, Any] = {
-    "font.family": "serif",
+    "font.family": ["serif", *(f for f in FALLBACKS if f in fontManager.get_font_names())],
     "font.serif": ["STIX Two Text", "STIXGeneral", "DejaVu Serif"],
     "mathtext.fontset": "stix",
     "font.size": SMALLEST,
@@ -69,6 +78,12 @@ ABREAST = 3
 
 PROFILES_IN_ROW = 6
 
+LONGEST_LABEL, LONGEST_TITLE = 18, 40
+"""Characters of the name of a condition, and of a trial, that a figure shows."""
+
+LEGEND_HANDLE, LEGEND_LETTER = 0.45, 0.058
+"""Inches that an entry of a legend takes, and further ones for each of its characters."""
+
 
 def title_of(quantity: Quantity) -> str:
     """Symbol and unit of a quantity, as an axis title."""
@@ -87,6 +102,23 @@ def marker_of(report: FitResult, condition: str) -> str:
     return MARKERS[list(report.fits).index(condition) % len(MARKERS)]
 
 
+def labels_of(report: FitResult) -> dict[str, str]:
+    """Names of the conditions as figures show them: a long one is cut behind its number, and one
+    that no font has the letters of is its number alone."""
+    with rc_context(STYLE):
+        families = STYLE["font.family"]
+        fonts = [get_font(fontManager.findfont(FontProperties(family=f))) for f in families]
+    found = {}
+    for number, name in enumerate(report.fits, 1):
+        shown = all(any(font.get_char_index(ord(c)) for font in fonts) for c in name)
+        found[name] = name
+        if not shown:
+            found[name] = f"condition {number}"
+        elif len(name) > LONGEST_LABEL:
+            found[name] = f"{number}: {name[: LONGEST_LABEL - 4].rstrip()}…"
+    return found
+
+
 def legend_below(figure: Figure, *panels: Axes, columns: int = 6) -> None:
     """One legend for the panels, below them: it covers no curve."""
     entries: dict[str, Any] = {}
@@ -94,9 +126,11 @@ def legend_below(figure: Figure, *panels: Axes, columns: int = 6) -> None:
         for handle, label in zip(*panel.get_legend_handles_labels()):
             entries.setdefault(label, handle)
     if entries:
+        each = LEGEND_HANDLE + LEGEND_LETTER * max(map(len, entries))
+        fitting = max(1, int(figure.get_figwidth() / each))
         figure.legend(
             list(entries.values()), list(entries), loc="outside lower center",
-            ncols=min(columns, len(entries)), handlelength=1.8, columnspacing=1.4,
+            ncols=min(columns, fitting, len(entries)), handlelength=1.8, columnspacing=1.4,
         )  # fmt: skip
 
 
@@ -117,8 +151,8 @@ def condition_panels(report: FitResult, height: float) -> tuple[Figure, list[Axe
     panels = list(grid.flat)
     for unused in panels[number:]:
         unused.set_visible(False)
-    for index, name in enumerate(report.fits):
-        lettered(panels[index], index, name)
+    for index, label in enumerate(labels_of(report).values()):
+        lettered(panels[index], index, label)
         if index + columns >= number:
             panels[index].tick_params(labelbottom=True)
     return figure, panels[:number]
@@ -179,7 +213,10 @@ def moisture_figure(report: FitResult) -> Figure | None:
             va="bottom",
             fontsize=SMALLEST,
         )
-    axes.set_yticks(range(len(fits)), [f"{n}\n($n$ = {len(f.problem)})" for n, f in fits.items()])
+    labels = labels_of(report)
+    axes.set_yticks(
+        range(len(fits)), [f"{labels[n]}\n($n$ = {len(f.problem)})" for n, f in fits.items()]
+    )
     axes.set_ylim(-0.4, len(fits) - 0.15)
     axes.set_xlim(0, 130)
     axes.set_xlabel("skin moisture (a.u.)")
@@ -272,7 +309,8 @@ def example_figure(report: FitResult) -> Figure:
     top.plot(trial.time, trial.force, color="0.1", lw=0.9, label="drives the model")
     top.set_ylabel("force (N)")
     top.tick_params(labelbottom=False)
-    lettered(top, 0, trial.label)
+    long = len(trial.label) > LONGEST_TITLE
+    lettered(top, 0, f"…{trial.label[-LONGEST_TITLE:]}" if long else trial.label)
     bottom.plot(trial.time, fit.curves[index] * MM2, color=colour, label="model")
     bottom.errorbar(
         trial.frame_time, trial.area * MM2, yerr=np.nan_to_num(trial.area_sd) * MM2, fmt="o",
@@ -371,7 +409,8 @@ def candidates_figure(report: FitResult) -> Figure:
     space = report.space
     box = next(iter(report.fits.values())).problem.box
     figure, panels = _subplots(1, len(space.quantity_names), figsize=(COLUMN, 2.4))
-    labels = list(report.fits)
+    labels = list(labels_of(report).values())
+    below = len(labels) > ABREAST or max(map(len, labels)) > LONGEST_LABEL // 2
     for number, (panel, name) in enumerate(zip(panels, space.quantity_names)):
         quantity = space.describe(name)
         factor = quantity.display_factor
@@ -397,6 +436,7 @@ def candidates_figure(report: FitResult) -> Figure:
             panel.scatter(
                 row, fit.quantity(name) * factor, s=30, color=colour,
                 marker=marker_of(report, condition), zorder=4, edgecolors="white", linewidths=0.5,
+                label=labels[row],
             )  # fmt: skip
         if name in space:
             low, high = box[space.index(name)] * factor
@@ -407,11 +447,16 @@ def candidates_figure(report: FitResult) -> Figure:
         else:
             panel.set_ylim(0, None)
         panel.set_xlim(-0.6, len(labels) - 0.4)
-        panel.set_xticks(
-            range(len(labels)), labels, rotation=35, ha="right", rotation_mode="anchor"
-        )
+        if below:
+            panel.set_xticks([])
+        else:
+            panel.set_xticks(
+                range(len(labels)), labels, rotation=35, ha="right", rotation_mode="anchor"
+            )
         lettered(panel, number, title_of(quantity))
         panel.tick_params(axis="x", length=0)
+    if below:
+        legend_below(figure, panels[0])
     return figure
 
 
@@ -423,16 +468,17 @@ def matched_figure(report: FitResult) -> Figure | None:
         n: np.array([t.time[-1] for t in f.problem.trials]) for n, f in report.fits.items()
     }
     middle = float(np.median(np.concatenate(list(durations.values()))))
+    labels = labels_of(report)
     figure, (left, right) = _subplots(1, 2, figsize=(COLUMN, 2.4))
     for name, fit in report.fits.items():
         index = int(np.argmin(np.abs(durations[name] - middle)))
         trial = fit.problem.trials[index]
         colour, marker = colour_of(report, name), marker_of(report, name)
-        left.plot(trial.time, trial.force, color=colour, label=name)
+        left.plot(trial.time, trial.force, color=colour, label=labels[name])
         right.plot(trial.time, fit.curves[index] * MM2, color=colour)
         right.scatter(
             trial.frame_time, trial.area * MM2, s=14, facecolors="white", edgecolors=colour,
-            linewidths=0.9, marker=marker, label=f"{name}, measured", zorder=3,
+            linewidths=0.9, marker=marker, label=f"{labels[name]}, measured", zorder=3,
         )  # fmt: skip
     left.set_ylabel("normal force (N)")
     right.set_ylabel("gross contact area (mm$^2$)")
@@ -450,6 +496,7 @@ def profiles_figure(report: FitResult) -> Figure | None:
     if not any(fit.profiles for fit in report.fits.values()):
         return None
     space = report.space
+    labels = labels_of(report)
     names = (*space.derived, *space.names)
     rows = -(-len(names) // PROFILES_IN_ROW)
     across = -(-len(names) // rows)
@@ -469,7 +516,7 @@ def profiles_figure(report: FitResult) -> Figure | None:
             rise = (profile.costs - fit.objective) / (profile.threshold - fit.objective)
             panel.plot(
                 profile.values * factor, np.maximum(rise, 0.0), color=colour, lw=1.1,
-                marker=marker_of(report, condition), ms=1.8, label=condition,
+                marker=marker_of(report, condition), ms=1.8, label=labels[condition],
             )  # fmt: skip
             panel.axvline(fit.quantity(name) * factor, color=colour, lw=0.5, ls=(0, (1, 2)))
             ticks += [value * factor for value in profile.box]
@@ -511,6 +558,7 @@ def residuals_figure(report: FitResult) -> Figure:
         1, 3, figsize=(COLUMN, 2.45), gridspec_kw={"width_ratios": (1, 1, 0.7)}
     )
     limit = 0.0
+    labels = labels_of(report)
     for name, fit in report.fits.items():
         problem, colour = fit.problem, colour_of(report, name)
         model = (fit.areas - problem.measured) * MM2
@@ -519,7 +567,7 @@ def residuals_figure(report: FitResult) -> Figure:
         for panel, values in ((panels[0], model), (panels[1], law)):
             panel.scatter(
                 problem.force, values, s=7, color=colour, alpha=0.6, linewidths=0,
-                marker=marker_of(report, name), label=name,
+                marker=marker_of(report, name), label=labels[name],
             )  # fmt: skip
         panels[2].hist(model, bins=13, histtype="step", color=colour, density=True, lw=1.0)
     for number, (panel, title) in enumerate(
@@ -545,6 +593,7 @@ def indentation_figure(report: FitResult) -> Figure | None:
     fits = {n: f for n, f in report.fits.items() if f.indentation is not None}
     if not fits:
         return None
+    labels = labels_of(report)
     figure, (left, right) = _subplots(1, 2, figsize=(COLUMN, 2.6))
     for name, fit in fits.items():
         found = fit.indentation
@@ -554,11 +603,11 @@ def indentation_figure(report: FitResult) -> Figure | None:
             own = found.trial_of == index
             left.plot(
                 found.force[own], found.predicted[own] * 1e3, color=colour, lw=0.7, alpha=0.55,
-                label=None if number else f"{name}, model",
+                label=None if number else f"{labels[name]}, model",
             )  # fmt: skip
         left.scatter(
             found.force, found.measured * 1e3, s=8, facecolors="white", edgecolors=colour,
-            linewidths=0.6, marker=marker, label=f"{name}, measured", zorder=3,
+            linewidths=0.6, marker=marker, label=f"{labels[name]}, measured", zorder=3,
         )  # fmt: skip
         right.scatter(
             found.force, (found.predicted - found.measured) * 1e6, s=7, color=colour, alpha=0.6,
@@ -577,6 +626,7 @@ def indentation_figure(report: FitResult) -> Figure | None:
 def convergence_figure(report: FitResult) -> Figure:
     """Best J over the rounds of the search, relative to J after the polish, or without one to the
     best."""
+    labels = labels_of(report)
     figure, axes = _subplots(figsize=(0.6 * COLUMN, 2.3))
     for name, fit in report.fits.items():
         colour = colour_of(report, name)
@@ -586,7 +636,7 @@ def convergence_figure(report: FitResult) -> Figure:
         axes.plot(rounds, curve, color=colour, drawstyle="steps-post")
         axes.plot(
             len(curve), curve[-1], marker=marker_of(report, name), color=colour, ms=4, ls="none",
-            label=f"{name} {curve[-1]:.3f}", clip_on=False,
+            label=f"{labels[name]} {curve[-1]:.3f}", clip_on=False,
         )  # fmt: skip
     axes.axhline(1.0, color="0.3", lw=0.7, ls=(0, (4, 2)))
     axes.set_xlabel("PSO round")
@@ -644,6 +694,11 @@ def captions_of(report: FitResult) -> dict[str, str]:
         if _polished(report)
         else " Dashed: J of the best round."
     )
+    cut = {label: name for name, label in labels_of(report).items() if label != name}
+    if cut:
+        found["force_over_time"] += " Short names in all figures: "
+        found["force_over_time"] += "; ".join(f"{label} = {name}" for label, name in cut.items())
+        found["force_over_time"] += "."
     derived = report.space.derived.values()
     found["candidates"] += "".join(f" {q.symbol}: {q.meaning}" for q in derived)
     return found
