@@ -26,12 +26,13 @@ from finger_common.cli import (
     settings_from,
 )
 from finger_common.console import Console
-from finger_common.errors import InputError
+from finger_common.errors import InputError, listed
 from finger_common.progress import Stages
 
 from .fingers import Fingers, geometry_files
 from .nuisance_names import name_of
 from .options import FitOptions
+from .problem import by_reason
 from .report_units import CUT_NOTE, MM4, interval_text, three_digits
 from .results import ConditionFit, FitResult
 from .study import NotWritten, fit_bags, reading
@@ -152,23 +153,25 @@ def headline_intervals(fit: ConditionFit) -> str:
 
 def unknowns(fits: Mapping[str, ConditionFit]) -> Iterator[str]:
     """What the data do not tell of the nuisances, a sentence for conditions with the same."""
-    for found, text in (
+    for found, most, text in (
         (
             lambda nuisance: nuisance.not_estimated,
+            2,
             "{names}: the data say little about {words}. Their assumed uncertainty is part of the "
-            "interval.",
+            "interval; the report names them.",
         ),
         (
             lambda nuisance: nuisance.left_out,
+            0,
             "{names}: the interval does not allow for an error of {words}.",
         ),
     ):
-        conditions: dict[str, list[str]] = {}
+        conditions: dict[tuple[str, ...], list[str]] = {}
         for name, fit in fits.items():
             if fit.nuisance is not None and (unknown := found(fit.nuisance)):
-                conditions.setdefault(", ".join(map(name_of, unknown)), []).append(plain(name))
+                conditions.setdefault(tuple(map(name_of, unknown)), []).append(plain(name))
         for words, names in conditions.items():
-            yield text.format(names=", ".join(names), words=words)
+            yield text.format(names=", ".join(names), words=listed(words, most or len(words)))
 
 
 def show(result: FitResult) -> None:
@@ -177,8 +180,8 @@ def show(result: FitResult) -> None:
     console.print(summary(result))
     for note in result.problems:
         print(f"note: {plain(note)}")
-    for exclusion in result.exclusions:
-        print(f"excluded: {plain(exclusion.label)}: {plain(exclusion.reason)}")
+    for (_, reason), labels in by_reason(result.exclusions).items():
+        print(f"excluded: {plain(listed(labels, 3), 300)}: {plain(reason)}")
     for name, fit in result.fits.items():
         if intervals := headline_intervals(fit):
             print(f"{plain(name)}: {intervals}")

@@ -23,10 +23,10 @@ import pytest
 
 from finger_common.errors import InputError
 from finger_fit import report, results
-from finger_fit.cli import command
+from finger_fit.cli import command, show
 from finger_fit.engine import DaskEngine
 from finger_fit.options import FitOptions
-from finger_fit.problem import fit_power_law
+from finger_fit.problem import Exclusion, fit_power_law
 from finger_fit.report import data, find_browser, write_pdf, write_report
 from finger_fit.report_units import MM4, three_digits
 from finger_fit.results import FitResult
@@ -208,6 +208,21 @@ def test_a_poor_reduced_model_is_named_once(double) -> None:
     records = [replace(r, subject=f"S0{i % 2}", bag=f"b{i}") for i, r in enumerate(records)]
     result = fit_records(records, Poor(), FitOptions(**QUICK, rounds=2))
     assert result.problems.count(Poor.doubt) == 1
+
+
+def test_a_reason_of_many_exclusions_is_said_once(study, capsys) -> None:
+    left_out = [Exclusion(f"b{i} trial {i}", "dry", "no contact", "S01") for i in range(5)]
+    left_out.append(Exclusion("c1", "dry", "too short", "S01"))
+    result = replace(study, exclusions=left_out)
+    show(result)
+    shown = [line for line in capsys.readouterr().out.splitlines() if line.startswith("excluded")]
+    assert shown == [
+        "excluded: b0 trial 0, b1 trial 1, b2 trial 2 and 2 more: no contact",
+        "excluded: c1: too short",
+    ]
+    page = data.exclusions(result)
+    assert page.count("no contact") == 1 and "6 trials excluded" in page
+    assert all(one.label in page for one in left_out), "the report names all of them"
 
 
 def test_a_subject_has_its_own_exclusions(double) -> None:

@@ -204,7 +204,9 @@ def test_few_subjects_with_moisture_have_no_slope_and_the_rest(
     data["subjects"]["S01"]["conditions"]["dry"]["status"] = "interrupted"
     (folder / "fit.json").write_text(json.dumps(data))
     assert run(command, ["population", str(folder), "-o", str(tmp_path)]) == 0
-    assert "1 of the fits are not final: S01 dry (interrupted)" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert shown.count("1 of the fits are not final: S01 dry (interrupted)") == 1
+    assert "composite_E: dry / natural" in shown, "the words of a quantity name it"
     entry = json.loads((tmp_path / "population.json").read_text())["quantities"]["composite_E"]
     assert "moisture_slope_log_per_10" not in entry and entry["mean"]["dry"]["median"] > 0
 

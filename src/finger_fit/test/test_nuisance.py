@@ -24,17 +24,18 @@ from finger_fit.nuisance.geometry import (
     Response,
     geometry_responses,
 )
-from finger_fit.nuisance_names import COLLAPSE, LAG, TARE
+from finger_fit.nuisance_names import COLLAPSE, LAG, TARE, name_of
 from finger_fit.nuisance_priors import CALIPERS
 from finger_fit.options import FitOptions
 from finger_fit.problem import FitProblem, Goal, Nuisance, Nuisances, prepare_all
+from finger_fit.report.nuisances import nuisances
 from finger_fit.report_units import MM4
 from finger_fit.results import fit_dict
 from finger_fit.search import all_free, refine
 from finger_fit.study import fit_condition, fit_records
 from finger_fit.uncertainty import bias_pair, covariance, in_interval
 from finger_fit.uncertainty.profiles import student_95
-from finger_model.geometry import Geometry
+from finger_model.geometry import LENGTHS, Geometry
 from finger_model.laws import StandardLinearSolid
 from finger_model.reduced import ReducedModel
 from finger_offline.unloaded import unloaded_tare
@@ -422,6 +423,11 @@ def test_a_fit_names_what_it_cannot_estimate(double, tmp_path) -> None:
     little, none = unknowns({"dry": fit, "natural": fit})
     assert little.startswith("dry, natural: the data say little about ")
     assert "gain of all areas" in little and "lag of the images" not in little
+    unknown = fit.nuisance.not_estimated
+    many = SimpleNamespace(not_estimated=("area_gain", *LENGTHS), left_out=())
+    (short,) = unknowns({"dry": SimpleNamespace(nuisance=many)})
+    assert f" and {len(LENGTHS) - 1} more. " in short and len(short) < 200
+    assert ", ".join(map(name_of, unknown)) in nuisances(result), "the report names all of them"
     assert none.startswith("dry, natural: the interval does not allow for an error of ")
     assert "epidermis thickness" in none and "gain of all areas" not in none
     assert len(block["presses"]) == 4

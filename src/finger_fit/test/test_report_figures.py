@@ -132,7 +132,7 @@ def test_long_and_foreign_names_of_conditions_stay_apart(study: Any) -> None:
     labels = labels_of(report)
     assert len(set(labels.values())) == len(names) and max(map(len, labels.values())) <= 18
     assert labels["natural"] == "natural" and labels["ξηρό δέρμα"] == "ξηρό δέρμα"
-    caption = captions_of(report)["force_over_time"]
+    caption = captions_of(report)["moisture"]
     for name, label in labels.items():
         assert (f"{label} = {name}" in caption) == (label != name)
     for name, drawn in all_figures(report).items():

@@ -88,9 +88,13 @@ def command(argv: Sequence[str]) -> int:
     data, draws = population(subjects, quantities, space, args.seed)
     console = Console()
     console.print(_table(space, data))
+    said: dict[str, list[str]] = {}
     for name, found in data["quantities"].items():
         for words in found["words"]:
-            print(f"{plain(name)}: {plain(words)}")
+            said.setdefault(words, []).append(name)
+    for words, names in said.items():
+        of = "" if len(names) == len(data["quantities"]) else f"{plain(', '.join(names))}: "
+        print(f"{of}{plain(words)}")
     path = Path(args.output) / "population.json"
     with atomic_write(path) as file:
         json.dump(data, file, indent=1, ensure_ascii=False)

@@ -20,6 +20,7 @@ from .trials import (
     FitTrial,
     Recording,
     TrialRejected,
+    by_reason,
     finger_of,
     prepare,
     prepare_all,

@@ -10,7 +10,7 @@ trials that are excluded, and the reasons, are part of the result.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -225,6 +225,14 @@ class Exclusion:
     def of(cls, record: Any, reason: str) -> Exclusion:
         """Name a recorded trial that is left out, or one left out when the bags were read."""
         return cls(label_of(record), record.condition or "", reason, record.subject or "")
+
+
+def by_reason(exclusions: Iterable[Exclusion]) -> dict[tuple[str, str], list[str]]:
+    """Labels of the excluded trials by condition and reason, in their order."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for exclusion in exclusions:
+        found.setdefault((exclusion.condition, exclusion.reason), []).append(exclusion.label)
+    return found
 
 
 class TrialRejected(Exception):

@@ -9,6 +9,7 @@ from html import escape
 
 import numpy as np
 
+from ..problem import by_reason
 from ..report_units import minus, three_digits
 from ..results import FitResult
 from ..results.tables import trial_rows
@@ -51,10 +52,11 @@ def exclusions(result: FitResult) -> str:
     if not number:
         return text + "<p>No trial was excluded.</p>"
     rows = [
-        [escape(e.label), escape(e.condition or "–"), escape(e.reason)] for e in result.exclusions
+        [escape(", ".join(labels)), escape(condition or "–"), escape(reason)]
+        for (condition, reason), labels in by_reason(result.exclusions).items()
     ]
     text += f"<p>{number} trial{'s' if number != 1 else ''} excluded:</p>"
-    return text + table(["trial", "condition", "reason"], rows, (1, 2))
+    return text + table(["trials", "condition", "reason"], rows, (1, 2))
 
 
 def trials(result: FitResult) -> str:

@@ -696,9 +696,9 @@ def captions_of(report: FitResult) -> dict[str, str]:
     )
     cut = {label: name for name, label in labels_of(report).items() if label != name}
     if cut:
-        found["force_over_time"] += " Short names in all figures: "
-        found["force_over_time"] += "; ".join(f"{label} = {name}" for label, name in cut.items())
-        found["force_over_time"] += "."
+        read = any(np.isfinite(fit.moisture[0]) for fit in report.fits.values())
+        whole = "; ".join(f"{label} = {name}" for label, name in cut.items())
+        found["moisture" if read else "force_over_time"] += f" In all figures: {whole}."
     derived = report.space.derived.values()
     found["candidates"] += "".join(f" {q.symbol}: {q.meaning}" for q in derived)
     return found

@@ -32,6 +32,7 @@ from ..problem import (
     Exclusion,
     FitProblem,
     FitTrial,
+    by_reason,
     finger_of,
     material_of,
     prepare_all,
@@ -386,7 +387,8 @@ def _left_out(exclusions: Sequence[Exclusion]) -> str:
 
 
 def _reasons(exclusions: Sequence[Exclusion]) -> str:
-    return listed((f"{e.label}: {e.reason}" for e in exclusions), 3, "; ")
+    grouped = by_reason(exclusions).items()
+    return listed((f"{listed(labels, 3)}: {reason}" for (_, reason), labels in grouped), 3, "; ")
 
 
 def _further(result: FitResult, engine: Engine) -> None:
