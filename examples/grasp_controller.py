@@ -7,8 +7,9 @@ The node subscribes to `contact_state` and answers every state with the force to
 slower the less certain the area is. When states are stale or not valid it holds its force, and goes
 on only after they have been good for a while. Only when states come that know nothing of the
 contact, for a second on end, it opens (0 N). Without contact it presses with `approach_force` at
-most, so that no larger force waits for the touch. `slip_grip.py` beside it holds a margin against
-slip.
+most, so that no larger force waits for the touch; a contact has ended only when no state of
+`lost_after` has one, so that a wrong sample of the force drops nothing. `slip_grip.py` beside it
+holds a margin against slip.
 
 Each setting of `AreaController` is a parameter of the node.
 """
@@ -39,8 +40,9 @@ class AreaController:
     """Integral control of the normal force, scaled by the model's slope dA/dF.
 
     target_area: m²; gain: 1/s, of the error in area; approach_rate: N/s before contact, up to
-    approach_force: N, to which the force falls at once when a contact ends; largest_force: N;
-    largest_rate: N/s; largest_step: s, a longer time between two states counts as this;
+    approach_force: N, to which the force falls when a contact has ended; lost_after: s of states
+    without contact until it has, for which the force is held; largest_force: N; largest_rate: N/s;
+    largest_step: s, a longer time between two states counts as this;
     stale_after: s without a state until it holds; settle: s of good states before it goes on;
     open_after: s of states that know nothing until it opens; sure: relative deviation of the area
     up to which it moves at full speed. `force` is the force to press with (N), `reason` why it does
@@ -52,6 +54,7 @@ class AreaController:
     gain: float = 8.0
     approach_rate: float = 1.0
     approach_force: float = 0.2
+    lost_after: float = 0.04
     largest_force: float = 2.5
     largest_rate: float = 3.0
     largest_step: float = 0.02
@@ -64,6 +67,7 @@ class AreaController:
     _received: float = field(default=-math.inf, init=False)
     _stamp: float = field(default=-math.inf, init=False)
     _good_since: float = field(default=math.inf, init=False)
+    _air_since: float = field(default=math.inf, init=False)
     _bad_since: float = field(default=math.inf, init=False)
 
     def __post_init__(self) -> None:
@@ -102,10 +106,12 @@ class AreaController:
                 self.force = 0.0
             return self._hold(f"contact state not valid (flags {flags})")
         in_air = not in_contact or area == 0
-        if in_air:
+        self._air_since = min(self._air_since, stamp) if in_air else math.inf
+        lost = stamp - self._air_since >= self.lost_after
+        if lost:
             self.force = min(self.force, self.approach_force)
         self._good_since = min(self._good_since, stamp)
-        if stamp - self._good_since < self.settle:
+        if stamp - self._good_since < self.settle or (in_air and not lost):
             return self.force
         self.reason = ""
         limit = self.largest_force
@@ -134,7 +140,7 @@ class AreaController:
 
     def _hold(self, reason: str) -> float:
         self.reason = reason
-        self._good_since = math.inf
+        self._good_since = self._air_since = math.inf
         return self.force
 
 

@@ -46,10 +46,14 @@ class Finger:
 
 
 def regulated(
-    controller: Any, seconds: float, apart: tuple[float, float]
+    controller: Any,
+    seconds: float,
+    apart: tuple[float, float],
+    faulty: Callable[[int], float] = lambda n: 0.0,
 ) -> tuple[np.ndarray, int]:
     """Areas (n,) in m² at 500 Hz under the controller, and the first sample it pressed at; between
-    the two times `apart` (s) the plate is out of reach, so that no command makes a force."""
+    the two times `apart` (s) the plate is out of reach, so that no command makes a force. faulty:
+    error (N) of a sample of the force."""
     finger, estimator = Finger(), ContactEstimator(load_reduced())
     rng = np.random.default_rng(1)
     frames: list[tuple[int, float]] = []
@@ -64,7 +68,7 @@ def regulated(
             taken, area = frames.pop(0)
             sd = 0.02 * area + 0.2e-6
             estimator.add_area(taken, area + sd * rng.normal(), sd, 0 if area > 2e-6 else 1)
-        normal = finger.force + 0.003 * rng.normal()
+        normal = finger.force + 0.003 * rng.normal() + faulty(n)
         for estimate in estimator.add_wrench(stamp, (0.0, 0.0, -normal)):
             command = controller.on_state(
                 now,
@@ -132,7 +136,39 @@ def test_a_large_force_does_not_wait_for_the_touch_after_a_hole_in_the_states(
     assert force > controller.approach_force
     held, at = run(controller, 3.0, at, None)
     assert held == force
-    found = controller.on_state(at, at, 0.0, 0.0, False, 0)
+    for _ in range(6):
+        at += 0.01
+        found = controller.on_state(at, at, 0.0, 0.0, False, 0)
+    assert found == controller.approach_force
+
+
+@pytest.mark.parametrize("wrong", [1, 15], ids=["one sample", "30 ms"])
+def test_wrong_samples_below_the_contact_do_not_let_go(example: Any, wrong: int) -> None:
+    """Once a second the force reads 2 N less for up to 30 ms, while a plate is held."""
+
+    def faulty(n: int) -> float:
+        return -2.0 if n > 1500 and n % 500 < wrong else 0.0
+
+    target = 45e-6  # with 0.7 N, far above approach_force
+    areas, begin = regulated(example.AreaController(target), 7.0, (0.0, 0.0), faulty)
+    # Each time another contact begins for the estimator.
+    assert np.abs(areas[begin + 550 :] / target - 1).max() < 0.1
+
+
+def test_states_without_contact_must_last_until_the_force_falls(example: Any) -> None:
+    """A state with a contact, or one that is not valid, between them begins their time anew."""
+    controller = example.AreaController(TARGET)
+    force, at = run(controller, 2.0, 0.0)
+    for between in (0, int(StateFlag.FORCE_INVALID)):
+        for _ in range(20):
+            for _ in range(3):
+                at += 0.01
+                assert controller.on_state(at, at, 0.0, 0.0, False, 0) == force
+            _, at = run(controller, 0.01, at, between)
+            force = controller.force
+    for _ in range(6):
+        at += 0.01
+        found = controller.on_state(at, at, 0.0, 0.0, False, 0)
     assert found == controller.approach_force
 
 
