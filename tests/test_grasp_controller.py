@@ -149,7 +149,7 @@ def test_wrong_samples_below_the_contact_do_not_let_go(example: Any, wrong: int)
     def faulty(n: int) -> float:
         return -2.0 if n > 1500 and n % 500 < wrong else 0.0
 
-    target = 45e-6  # with 0.7 N, far above approach_force
+    target = 45e-6  # of 0.44 N, far above approach_force
     areas, begin = regulated(example.AreaController(target), 7.0, (0.0, 0.0), faulty)
     # Each time another contact begins for the estimator.
     assert np.abs(areas[begin + 550 :] / target - 1).max() < 0.1
@@ -233,6 +233,32 @@ def test_a_model_node_that_starts_again_drops_nothing(example: Any, seen: bool) 
     else:
         # A force that was there from the start may be a tare; it is held until the contact ends.
         assert commands[-1] == commands[2000] and "not valid" in controller.reason
+
+
+@pytest.mark.parametrize("zero", [-1.6, -0.5])
+@pytest.mark.parametrize("seen", [False, True], ids=["force alone", "camera"])
+def test_a_force_driver_that_starts_again_untared_drops_nothing(
+    example: Any, zero: float, seen: bool
+) -> None:
+    target = 45e-6
+    finger, controller = Finger(), example.AreaController(target)
+    estimator = ContactEstimator(load_reduced())
+    commands = []
+    for n in range(4500):
+        now, stamp = n * 0.002, 10**18 + n * 2_000_000
+        if seen and n % 50 == 0:
+            estimator.add_area(stamp, finger.area, 0.5e-6, 0 if finger.area > 2e-6 else 1)
+        controller.watch(now)
+        if not 2000 <= n < 2600:  # it is gone
+            normal = finger.force + zero * (n >= 2600)
+            for e in estimator.add_wrench(stamp, (0.0, 0.0, -normal)):
+                values = e.area, e.area_force_slope, e.in_contact, e.flags, e.area_stddev
+                controller.on_state(now, now, *values)
+        commands.append(controller.force)
+        finger.step(controller.force)
+    held = commands[2000]
+    assert held > 2.0 * controller.approach_force
+    assert set(commands[2000:]) == {held} and "not valid" in controller.reason
 
 
 @pytest.mark.parametrize("slope", [0.0, -1e-6])

@@ -489,6 +489,71 @@ def test_a_driver_that_starts_again_untared_while_an_object_is_held(
     assert not any(flagged(paused, StateFlag.FORCE_OFFSET))
 
 
+@pytest.mark.parametrize("zero", [-1.6, -0.5, -0.34])
+def test_a_driver_that_starts_again_with_a_negative_zero_while_an_object_is_held(
+    model: ReducedModel, zero: float
+) -> None:
+    """Where the force shows no contact, or hardly one, the object may be held all the same: that is
+    flagged from the first sample on, whatever the camera sees of it, until the force rests near
+    zero. So it is when the driver starts once more."""
+    estimator = ContactEstimator(model)
+    for k in range(12, 240):
+        estimator.add_area(T0 + 100 * k * MS, 30e-6, 1e-6)
+    held = feed(estimator, 0.0, 4.0, lambda t: 0.4 * (t > 1.0))
+    assert not any(flagged(held, StateFlag.FORCE_OFFSET))
+    shown = zero + 0.4 > 0.0  # a contact, that the camera then sees
+    found = feed(estimator, 10.0, 10.2 if shown else 12.0, lambda t: 0.4 + zero)
+    assert all(flagged(found, StateFlag.FORCE_OFFSET))
+    again = feed(estimator, 14.0, 14.4, lambda t: 0.01)
+    assert all(flagged(again, StateFlag.FORCE_OFFSET))
+    tared = feed(estimator, 14.4, 24.0, lambda t: 0.0)
+    assert not any(flagged(tared[200 // PERIOD :], StateFlag.FORCE_OFFSET))
+
+
+@pytest.mark.parametrize("zero", [0.0, -0.2])
+@pytest.mark.parametrize("seen", [False, True], ids=["force alone", "camera"])
+def test_a_finger_that_was_lifted_in_a_silence_is_gone(
+    model: ReducedModel, zero: float, seen: bool
+) -> None:
+    """After a rest of 0.5 s near zero, or three pictures of an empty plate; a zero that is negative
+    for 1 s is one. In the air a silence tells nothing."""
+    estimator = ContactEstimator(model)
+    for k in range(100, 130 * seen):
+        estimator.add_area(T0 + 100 * k * MS, 0.0, 1e-6, int(AreaFlag.NO_CONTACT))
+    feed(estimator, 0.0, 4.0, lambda t: float(t > 1.0))
+    found = feed(estimator, 10.0, 13.0, lambda t: zero)
+    known = 0.4 if seen else 0.5 if zero == 0.0 else 3.0
+    begin, end = round(known * 1000 + 10) // PERIOD, round(known * 1000 - 10) // PERIOD
+    assert all(flagged(found[:end], StateFlag.FORCE_OFFSET))
+    assert not any(flagged(found[begin : 990 // PERIOD], StateFlag.FORCE_OFFSET))
+    drifted = flagged(found[1010 // PERIOD :], StateFlag.FORCE_OFFSET)
+    assert all(drifted) if zero else not any(drifted)
+    feed(estimator, 13.0, 14.0, lambda t: 0.0)
+    air = feed(estimator, 20.0, 20.5, lambda t: 0.0)
+    assert not any(flagged(air, StateFlag.FORCE_OFFSET))
+    same_again(estimator, model, 24.0)
+
+
+def test_a_finger_that_touches_soon_after_a_silence_is_one_once_it_is_seen(
+    model: ReducedModel,
+) -> None:
+    def force(t: float) -> float:
+        return float(1.0 < t < 5.0 or t > 10.2)
+
+    expected = feed(ContactEstimator(model), 0.0, 12.0, force)
+    areas = {e.stamp_ns: e.model_area for e in expected}
+    found = {}
+    for seen in (False, True):
+        estimator = ContactEstimator(model)
+        if seen:
+            times = (ms / 1000 for ms in range(10300, 12000, 100))
+            camera(estimator, ((t, areas[T0 + round(t * 1000) * MS]) for t in times))
+        feed(estimator, 0.0, 4.0, force)
+        found[seen] = flagged(feed(estimator, 10.0, 12.0, force), StateFlag.FORCE_OFFSET)
+    assert all(found[False]) and all(found[True][: 390 // PERIOD])
+    assert not any(found[True][420 // PERIOD :])
+
+
 def test_after_a_silence_in_a_hold_only_a_new_area_shows_the_finger(model: ReducedModel) -> None:
     def hold(t: float) -> float:
         return float(t > 1.0)

@@ -111,6 +111,8 @@ CONTACT = np.dtype(
         ("negative_since", "i8"),  # ns, since when the force is negative; 0 while it is not
         ("offset_suspected", "?"),  # no finger's for certain, and not at rest near zero since
         ("loaded", "i8"),  # ns, newest sample beyond the onset force, of either sign
+        ("end_unseen", "?"),  # a contact was under way at a silence, and nothing has shown since
+        # whether it is: no area of a contact or of an empty plate, and no rest near zero
     ],
     align=True,
 )
@@ -167,8 +169,10 @@ _in_contact = njit(cache=True)(contact_threshold.in_contact)
 @njit(cache=True)
 def _offset_suspected(contact, stamp):
     """Whether the force of the present contact, or that in the air, is hardly a finger's."""
-    if not contact.touching or contact.offset_suspected:
-        return contact.offset_suspected
+    if contact.end_unseen or contact.offset_suspected:
+        return True
+    if not contact.touching:
+        return False
     quiet = contact.quiet_force < QUIET_FORCE and (stamp - contact.quiet_since) * 1e-9 > QUIET_TIME
     return (
         contact.onset_unseen
@@ -184,7 +188,7 @@ def _check_negative_force(config, state, normal_force, stamp):
     if abs(normal_force) > config.onset_force:
         contact.loaded = stamp
     elif (stamp - contact.loaded) * 1e-9 > REST_TIME:
-        contact.offset_suspected = False
+        contact.offset_suspected = contact.end_unseen = False
     if normal_force > -config.onset_force:
         contact.negative_since = 0
     elif contact.negative_since == 0:
@@ -201,7 +205,8 @@ def _update_contact(config, state, normal_force, stamp, silent):
     """Onset and lift-off by threshold with hysteresis; true at an onset.
 
     silent: no sample came for SILENCE before this one. What is held then is another contact: the
-    force may have another tare, and nobody saw what happened.
+    force may have another tare, and nobody saw what happened. So it may also be held where the
+    force shows no contact.
     """
     contact = state.contact
     touching = _in_contact(contact.touching, normal_force, config.onset_force, config.liftoff_force)
@@ -213,6 +218,10 @@ def _update_contact(config, state, normal_force, stamp, silent):
             # areas of this contact that are still under way teach nothing.
             area_filter.copy_knowledge(state.before, state.filters)
             contact.liftoff = contact.onset - 1
+    if silent:
+        contact.end_unseen |= contact.touching
+        contact.empty_areas = 0
+        contact.loaded = stamp  # a silence is no rest
     if begins:
         area_filter.copy_knowledge(state.filters, state.before)
         area_filter.begin_contact(state.filters, config.noise, stamp)
@@ -337,6 +346,12 @@ def _fuse(config, state, stamp, area, sd, limit):
     if state.counters.contacts == 0 or stamp < contact.onset:
         return False
     if not contact.touching and stamp > contact.liftoff:
+        if area == NO_CONTACT:
+            contact.empty_areas += 1
+        elif area > 0.0:
+            contact.empty_areas = 0
+        if contact.empty_areas >= EMPTY_AREAS:
+            contact.end_unseen = False
         return False
     sensitivity = np.zeros(sensitivities.DIRECTIONS)
     force, model_area = _recall(state.memory, stamp, sensitivity)
@@ -368,6 +383,8 @@ def _fuse(config, state, stamp, area, sd, limit):
         return False
     contact.empty_areas = 0
     contact.onset_unseen = False
+    if contact.touching:
+        contact.end_unseen = False
     contact.seen_force = force
     contact.fused_stamp = stamp
     contact.fused_area = area
