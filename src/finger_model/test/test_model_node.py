@@ -754,6 +754,34 @@ def test_what_is_missing_or_out_of_range_is_reported_where_it_is_expected(
     assert not warns()
 
 
+def test_areas_that_cannot_be_used_are_named_with_a_remedy(
+    bench: Bench, process: Callable[..., Any]
+) -> None:
+    start(process)
+    bench.connected()
+
+    def says(name: str, text: str) -> bool:
+        return text in bench.diagnostics.get(name, {}).get("message", "")
+
+    nan, m2 = float("nan"), "not that of a fingertip: publish it in m², 30 mm² are 30e-6; left out"
+    positive = "publish a positive area_stddev in m²; left out"
+    for k, (area, sd, wrong) in enumerate(
+        (
+            (54.0, 2.0, f"gross_area 54 m², {m2}"),
+            (nan, 2e-6, f"gross_area nan m², {m2}"),
+            (54e-6, 0.0, f"area_stddev 0 m²: {positive}"),
+            (54e-6, nan, f"area_stddev nan m²: {positive}"),
+            (54e-6, 2e-6, ""),
+        )
+    ):
+        picture = ContactArea(gross_area=area, area_stddev=sd)
+        picture.header.stamp = to_time(T0 + k * MS)
+        bench.area.publish(picture)
+        if wrong:
+            bench.until(lambda wrong=wrong: says("inputs", f"/finger/contact_area has {wrong}"))
+    bench.until(lambda: not says("inputs", "contact_area has"))
+
+
 def test_a_first_start_says_that_it_compiles_and_ends_at_ctrl_c(
     ros_domain: int,
     process: Callable[..., Any],

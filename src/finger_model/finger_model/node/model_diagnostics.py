@@ -15,6 +15,7 @@ from finger_common.node import ManagedNode
 from finger_common.stamps import seconds
 
 from ..estimator import EstimatorSettings
+from ..estimator.stream import LARGEST_AREA, LEAST_AREA
 from ..lateness import Lateness
 from ..model_run import Run
 
@@ -107,6 +108,18 @@ class ModelDiagnostics:
             self._node.log_fault(health, key, sentence, WARN)
         else:
             health.recovered(key)
+
+    def see_area(self, area: float, sd: float) -> None:
+        """Report an area (m²) of a picture with a contact that cannot be used, by its deviation
+        (m²) or by itself."""
+        topic = self._node.resolve_topic_name("contact_area")
+        sentence = ""
+        if not LEAST_AREA < area < LARGEST_AREA:
+            sentence = f"gross_area {area:.3g} m², not that of a fingertip: publish it in m², "
+            sentence += "30 mm² are 30e-6"
+        elif not 0.0 < sd < LARGEST_AREA:
+            sentence = f"area_stddev {sd:.3g} m²: publish a positive area_stddev in m²"
+        self.warn_while(bool(sentence), "bad_area", f"{topic} has {sentence}; left out")
 
     def _area_is_overdue(self, run: Run) -> bool:
         """Whether the contact has lasted longer than `area_stale_after` without a fused area.
