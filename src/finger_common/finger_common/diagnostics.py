@@ -29,8 +29,8 @@ MIXED_INPUT = "mixed_input"
 HOLD = 2.0
 """s for which a fault that is absent, or has passed, is still shown."""
 
-_SILENCE = re.compile(r"no sample (yet|for [\d.]+ s)(: )?")
-"""What the report of a silent source begins with."""
+_SILENCE = re.compile(r"no sample (yet|for [\d.]+ s)( \([^()]*\))?(: )?")
+"""What the report of a silent source begins with: the age, and the `advice` of its Health."""
 
 _SHORTEST, _FEWEST = 0.5, 5
 """s that a rate is measured over at least, and samples that are due meanwhile."""
@@ -58,7 +58,8 @@ def node_within(status_name: str, namespace: str) -> str | None:
 
 
 def cause_of(message: str) -> str:
-    """What a report's message says beside the age of the last sample; empty for nothing."""
+    """What a report's message says beside the age of the last sample and the advice on it; empty
+    for nothing."""
     return message[found.end() :] if (found := _SILENCE.match(message)) else message
 
 
@@ -95,7 +96,9 @@ class Health:
     rate_tolerance: relative deviation of the measured rate that is still OK.
     stale_after: seconds without a sample until the source counts as silent, None for never.
 
-    `activity` is the message of an active source without a fault, in place of "active".
+    `activity` is the message of an active source without a fault, in place of "active". `advice`
+    is what is told of a silent one: where its samples should come from and what to check, without
+    brackets.
     """
 
     def __init__(
@@ -113,7 +116,7 @@ class Health:
         self.rate_tolerance = rate_tolerance
         self.stale_after = stale_after
         self.state = "unconfigured"
-        self.activity = ""
+        self.activity = self.advice = ""
         self.counters: Counter[str] = Counter()
         self.notes: dict[str, str] = {}
         self.last_error = ""
@@ -225,6 +228,7 @@ class Health:
                 and (age is None or age > self.stale_after)
             ):
                 silent = "no sample yet" if age is None else f"no sample for {age:.1f} s"
+                silent += f" ({self.advice})" if self.advice else ""
             rate, news = self._measure(now, bool(silent))
             level, message = OK, self.state
             if self.state == "active" and self.activity:

@@ -16,6 +16,7 @@ from finger_common.diagnostics import (
     OK,
     WARN,
     Health,
+    cause_of,
     full_node_name,
     node_within,
     status_node,
@@ -178,6 +179,23 @@ def test_samples_that_are_lost_on_their_way_are_told_at_any_rate() -> None:
     for number in range(100):
         health.numbered(number + 1000 * (number % 2))
     assert health.report().values["lost"] == report.values["lost"]
+
+
+def test_a_silent_source_says_what_to_check_which_is_no_cause() -> None:
+    clock = Clock()
+    health = source(clock, stale_after=0.5)
+    health.advice = "nothing comes on /finger/wrench, 0 publishers: check wrench_topic"
+    assert health.report().message == f"no sample yet ({health.advice})"
+    health.sample()
+    assert health.report().message == "active"
+    clock.now = 0.7
+    message = health.report().message
+    assert message == f"no sample for 0.7 s ({health.advice})"
+    assert cause_of(message) == ""
+    health.fault("frames", "the wrench changes its frame", WARN)
+    message = health.report().message
+    assert message == f"no sample for 0.7 s ({health.advice}): the wrench changes its frame"
+    assert cause_of(message) == "the wrench changes its frame"
 
 
 def test_silence_is_an_error_with_its_age() -> None:

@@ -754,7 +754,7 @@ def test_what_is_missing_or_out_of_range_is_reported_where_it_is_expected(
     assert not warns()
 
 
-def test_areas_that_cannot_be_used_are_named_with_a_remedy(
+def test_inputs_that_are_missing_or_cannot_be_used_are_named_with_a_remedy(
     bench: Bench, process: Callable[..., Any]
 ) -> None:
     start(process)
@@ -762,6 +762,15 @@ def test_areas_that_cannot_be_used_are_named_with_a_remedy(
 
     def says(name: str, text: str) -> bool:
         return text in bench.diagnostics.get(name, {}).get("message", "")
+
+    nothing, name = "no sample yet (nothing comes on /finger/wrench", bench.node.get_name()
+    remedy = f"{nothing} from {name}: check that node and its sensor)"
+    bench.until(lambda: says("contact state", remedy))
+    bench.press(0, 0.5)
+    bench.press(0, 0.5)
+    bench.node.destroy_publisher(bench.wrench)
+    remedy = "wrench, 0 publishers: check wrench_topic and namespace)"
+    bench.until(lambda: says("contact state", remedy))
 
     nan, m2 = float("nan"), "not that of a fingertip: publish it in m², 30 mm² are 30e-6; left out"
     positive = "publish a positive area_stddev in m²; left out"

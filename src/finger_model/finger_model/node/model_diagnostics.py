@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 
-from finger_common.diagnostics import WARN, Health
+from finger_common.diagnostics import WARN, Health, full_node_name
 from finger_common.flags import StateFlag
 from finger_common.node import ManagedNode
 from finger_common.stamps import seconds
@@ -71,8 +71,11 @@ class ModelDiagnostics:
         doubt = run.estimator.parameter_sets.doubt()
         self.warn_while(bool(doubt), "parameter_status", doubt)
         # Beside a silence of the states, which wrong stamps explain.
-        for key, sentence in run.watch.look(self._node.values["normal_axis"]).items():
+        wrong = run.watch.look(self._node.values["normal_axis"])
+        for key, sentence in wrong.items():
             self.warn_while(bool(sentence), key, sentence, self._states)
+        # Of wrenches that come and are left out their stamps tell.
+        self._states.advice = "" if wrong["wrench_stamps"] else self._missing_wrench()
         for key, late in self.late.items():
             sentence = late.look()
             self.warn_while(bool(sentence), key, sentence)
@@ -108,6 +111,17 @@ class ModelDiagnostics:
             self._node.log_fault(health, key, sentence, WARN)
         else:
             health.recovered(key)
+
+    def _missing_wrench(self) -> str:
+        """What to check where no sample comes."""
+        topic = self._node.resolve_topic_name(self._node.values["wrench_topic"])
+        sources = sorted(
+            full_node_name(info.node_name, info.node_namespace)
+            for info in self._node.get_publishers_info_by_topic(topic)
+        )
+        if not sources:
+            return f"nothing comes on {topic}, 0 publishers: check wrench_topic and namespace"
+        return f"nothing comes on {topic} from {', '.join(sources)}: check that node and its sensor"
 
     def see_area(self, area: float, sd: float) -> None:
         """Report an area (m²) of a picture with a contact that cannot be used, by its deviation
