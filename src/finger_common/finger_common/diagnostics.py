@@ -35,6 +35,9 @@ _SILENCE = re.compile(r"no sample (yet|for [\d.]+ s)( \([^()]*\))?(: )?")
 _SHORTEST, _FEWEST = 0.5, 5
 """s that a rate is measured over at least, and samples that are due meanwhile."""
 
+_APART = 2
+"""Reports, the first of which is of the second in which numbers of samples went back."""
+
 _PATIENCE, _START = 5, 20.0
 """Wrong rates in a row after which they are logged, and right ones after which their end is; s from
 the first sample in which none is counted, as the start of other nodes keeps the computer busy."""
@@ -123,7 +126,10 @@ class Health:
         self._clock = clock
         self._lock = threading.Lock()
         self._faults: dict[str, _Fault] = {}
-        self._count = self._missed = 0
+        self._count = self._missed = self._gaps = 0
+        """Samples, those that were lost, and those that numbers left out since the last report."""
+        self._apart = 0
+        """Reports in which gaps are not counted, as numbers went back before."""
         self._number: int | None = None
         self._first_sample: float | None = None
         self._last_sample: float | None = None
@@ -146,18 +152,19 @@ class Health:
                 and last is not None
                 and now - last > max(self.stale_after, _SHORTEST)
             ):
-                self._since = (now, self._count, self._missed)
+                self._since = (now, self._count, self._missed + self._gaps)
 
     def numbered(self, number: int | None) -> None:
         """Count samples as lost that are missing before this one, by the number that its publisher
-        gave it; None where it gives none. A number that is not higher begins another count."""
+        gave it; None where it gives none. A number that is not higher begins another count, and
+        what is left out in this second and the next is no loss: two publishers may count apart."""
         with self._lock:
             last, self._number = self._number, number
-            if last is None or number is None or MIXED_INPUT in self._faults:
+            if last is None or number is None:
                 return
-            if number > last + 1:
-                self._missed += number - last - 1
-                self.counters["lost"] += number - last - 1
+            self._gaps += max(number - last - 1, 0)
+            if number <= last:
+                self._apart = _APART
 
     def count(self, what: str, number: int = 1) -> None:
         """Count an event, such as "lost", "late", "malformed", "saturated"."""
@@ -229,6 +236,7 @@ class Health:
             ):
                 silent = "no sample yet" if age is None else f"no sample for {age:.1f} s"
                 silent += f" ({self.advice})" if self.advice else ""
+            self._count_lost()
             rate, news = self._measure(now, bool(silent))
             level, message = OK, self.state
             if self.state == "active" and self.activity:
@@ -251,6 +259,16 @@ class Health:
             values.update(self.notes)
             values["last_error"] = self.last_error
             return HealthReport(level, message, self.hardware_id, values, news)
+
+    def _count_lost(self) -> None:
+        """Count what numbers left out since the last report, unless they are of two publishers."""
+        if self._apart or MIXED_INPUT in self._faults:
+            if self._since is not None:
+                self._since = (*self._since[:2], min(self._since[2], self._missed))
+        elif self._gaps:
+            self._missed += self._gaps
+            self.counters["lost"] += self._gaps
+        self._gaps, self._apart = 0, max(self._apart - 1, 0)
 
     def _measure(self, now: float, silent: bool) -> tuple[float | None, tuple[int, str]]:
         """Rate (Hz) and what is to be logged of it; a wrong one is a fault from now on."""

@@ -181,6 +181,25 @@ def test_samples_that_are_lost_on_their_way_are_told_at_any_rate() -> None:
     assert health.report().values["lost"] == report.values["lost"]
 
 
+@pytest.mark.parametrize("other", [400, -400], ids=["ahead", "behind"])
+def test_a_second_publisher_makes_no_sample_count_as_lost(other: int) -> None:
+    """It gives numbers of its own, and may be there before it is known to be."""
+    clock = Clock()
+    health = source(clock, rate_tolerance=0.1)
+    number = 70_000
+    for second in range(6):
+        for _ in range(100):
+            clock.now += 0.01
+            number += 1
+            for n in (number, number + 100 * other) if second in (2, 3) else (number,):
+                health.numbered(n)
+                health.sample()
+        report = health.report()
+        assert "lost" not in report.values and report.level == OK
+    health.numbered(number + 51)
+    assert health.report().values["lost"] == "50"
+
+
 def test_a_silent_source_says_what_to_check_which_is_no_cause() -> None:
     clock = Clock()
     health = source(clock, stale_after=0.5)
