@@ -269,11 +269,10 @@ class FitNode(ManagedNode):
             handle.abort()
         else:
             self.health.recovered("goal")
-            result.success = True
-            result.message = "; ".join(
-                f"{name}: {fit.status}" for name, fit in outcome.fits.items()
-            )
-            handle.succeed()
+            states = [f"{name}: {fit.status}" for name, fit in outcome.fits.items()]
+            states += [f"{name}: lost, see the notes in the report" for name in outcome.missing]
+            result.success, result.message = not outcome.missing, "; ".join(states)
+            (handle.succeed if result.success else handle.abort)()
         return result
 
 

@@ -398,6 +398,18 @@ def test_a_condition_lost_for_another_reason_than_its_data_leaves_parameters(
     assert files.keys() <= set(tmp_path.rglob("*.yaml"))
 
 
+def test_a_subject_without_the_condition_asked_for_is_not_lost(double) -> None:
+    records = [
+        replace(double.make_record(i, 0.7 + 0.3 * i + 0.1 * n, 1e-6, condition=c), subject=f"S0{n}")
+        for n, c in ((1, "moist"), (2, "natural")) for i in range(3)
+    ]  # fmt: skip
+    found = fit_records(
+        records, double.HereditaryModel(), FitOptions(**QUICK, rounds=3), conditions=["moist"]
+    )
+    assert list(found.fits) == ["S01 moist"] and found.missing == []
+    assert any("S02: condition 'moist' does not occur" in note for note in found.problems)
+
+
 def test_resumed_fit_equals_the_uninterrupted_one(double, tmp_path: Path) -> None:
     options = FitOptions(
         full_order=False, profiles=False, bootstrap=0, bias_pairs=0, grid=3, rounds=12

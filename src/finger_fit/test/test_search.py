@@ -119,10 +119,13 @@ def test_a_disk_that_is_full_for_a_while_costs_checkpoints_alone(tmp_path: Path)
         if number == 2:
             path.parent.unlink()
 
-    found = search("pso", bowl, FREE, start(), 4, 0, path, progress=free)
     whole = search("pso", bowl, FREE, start(), 4, 0)
-    assert found.complete and "cannot be written" in found.unsaved and not whole.unsaved
-    np.testing.assert_array_equal(found.candidates, whole.candidates)
+    full = search("pso", bowl, FREE, start(), 4, 0, path)
+    found = search("pso", bowl, FREE, start(), 4, 0, path, progress=free)
+    assert found.complete and full.complete
+    assert "cannot be written" in full.unsaved and not found.unsaved
+    for ended in (full, found):
+        np.testing.assert_array_equal(ended.candidates, whole.candidates)
     assert len(json.loads(path.read_text())["costs"]) == 4
 
 

@@ -67,7 +67,7 @@ def test_a_bag_without_areas_is_left_out_beside_one_with_them(tmp_path) -> None:
     assert len(loaded.records) == 1
     (left_out,) = loaded.exclusions
     assert (left_out.label, left_out.condition, left_out.subject) == ("t6", "dry", "S01")
-    assert left_out.reason == "no contact area was recorded"
+    assert left_out.reason.startswith("no contact areas or images were found; if a topic of ")
     read = load_trials(tmp_path)
     assert len(read) == 1 and [e.index for e in read.exclusions] == [None]
     for one in (load_trials, lambda path: load([path], reading(FitOptions()))):

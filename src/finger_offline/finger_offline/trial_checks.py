@@ -389,7 +389,8 @@ def _check_sync(
     if lags is not None and abs(middle := float(np.median(lags))) > LONGEST_LAG:
         lag = middle
     if lag is None:
-        rate = (len(stamp) - 1) / seconds(stamp[-1] - stamp[0])
+        # The median: forces may be recorded during the presses only.
+        rate = 1.0 / max(float(np.median(np.diff(seconds(stamp - stamp[0])))), 1e-9)
         if rate < MINIMUM_RATE["wrench"]:
             result.add(name, NOTE, f"unknown: a force of {rate:.1f} Hz does not tell it")
             return

@@ -28,11 +28,12 @@ from .trial_split import TrialSettings, number_of, split
 
 
 class NoAreas(InputError):
-    """A bag holds neither contact_area nor images; exclusion: of all that it holds."""
+    """A bag does not hold the areas or images that are asked for; found: what is left of it, an
+    exclusion of all that it holds."""
 
-    def __init__(self, message: str, exclusion: Exclusion) -> None:
+    def __init__(self, message: str, found: TrialSet) -> None:
         super().__init__(message)
-        self.exclusion = exclusion
+        self.found = found
 
 
 def load_trials(
@@ -54,13 +55,13 @@ def load_trials(
                 found = trials_of(reader, settings)
         except NoAreas as error:
             lacking.append(error)
-            continue
+            found = error.found
         result.trials += found.trials
         result.pulls += found.pulls
         result.exclusions += found.exclusions
         result.problems += found.problems
         result.lost += found.lost
-    result.exclusions += without_areas(lacking, len(bags))
+    check_areas(lacking, len(bags))
     result.problems += shared_sessions(result.trials)
     result.trials, again = without_superseded(result.trials)
     result.exclusions += again
@@ -88,10 +89,16 @@ def streams_with_areas(reader: BagReader, settings: TrialSettings) -> SessionStr
     has_areas = find_used(reader, "contact_area", settings) is not None
     from_images = settings.image_areas == "always" or not has_areas
     if from_images and not any(find_topic(reader, name, settings) for name in IMAGES):
-        needed = "contact_area" if settings.image_areas == "absent" else "image_raw"
-        about, reason = reader.info.metadata, "no contact area was recorded"
+        needed, lacks = "image_raw", "no images"
+        if settings.image_areas == "absent":
+            needed, lacks = "contact_area", "no contact areas or images"
+        about = reader.info.metadata
+        reason = f"{lacks} were found; if a topic of another name holds them, give a mapping file"
         whole = Exclusion(str(reader.path), about.condition, None, reason, about.subject)
-        raise NoAreas(str(missing(reader, needed)), whole)
+        lost = [str(reader.path)] if reader.lost else []
+        problems = [f"{reader.path}: {problem}" for problem in reader.all_problems()]
+        found = TrialSet(exclusions=[whole], problems=problems, lost=lost)
+        raise NoAreas(str(missing(reader, needed)), found)
     measure = ImageAreas.for_bag(reader, settings) if from_images else None
     streams = read_streams(
         reader,
@@ -105,11 +112,10 @@ def streams_with_areas(reader: BagReader, settings: TrialSettings) -> SessionStr
     return streams
 
 
-def without_areas(lacking: Sequence[NoAreas], bags: int) -> list[Exclusion]:
-    """Exclusions of the bags without areas, of so many bags; raises InputError when all are."""
+def check_areas(lacking: Sequence[NoAreas], bags: int) -> None:
+    """Raise InputError when all of so many bags are without areas."""
     if lacking and len(lacking) == bags:
         raise lacking[0]
-    return [error.exclusion for error in lacking]
 
 
 def without_superseded(

@@ -231,6 +231,32 @@ def test_numbers_that_begin_again_within_one_bag_are_trials_of_their_own(
     assert said == ("2 dry, 2 moist" if "condition" in abouts[0] else "4 dry")
 
 
+def test_a_force_that_is_recorded_during_the_presses_alone_is_no_slow_one(tmp_path: Path) -> None:
+    """Areas that do not follow it are told all the same."""
+    with BagWriter(tmp_path / "bag", {"condition": "dry", "subject": "S01"}) as bag:
+        for begin in range(START, START + 360 * 10**9, 60 * 10**9):
+            for at in np.arange(0.0, 3.5, 0.002):
+                force = wrench(begin + round(at * 1e9), float(press_force(np.array(at))))
+                bag.write("wrench", force)
+            for at in np.arange(0.0, 3.5, 0.05):
+                header = {"stamp": begin + round(at * 1e9)}
+                bag.write("contact_area", {"header": header, "gross_area": 1e-4})
+    found = {check.name: check for check in validate(tmp_path / "bag").checks}
+    said = found["sync of force and image"]
+    assert said.status == "fail" and "frames between the presses" in said.detail, said
+
+
+def test_a_damaged_bag_without_areas_is_not_hidden_by_others(tmp_path: Path) -> None:
+    whole, damaged = write_session(tmp_path / "whole", trials=1), tmp_path / "damaged"
+    with BagWriter(damaged, {"condition": "natural", "session": "s"}) as bag:
+        bag.write("wrench", wrench(START, 0.0))
+    # A part with the areas, which its metadata does not list.
+    shutil.copy(next(Path(whole).glob("*.mcap")), damaged / "part2.mcap")
+    found = load_trials([whole, damaged])
+    assert len(found) == 1 and found.lost == [str(damaged)]
+    assert any("part2.mcap" in problem for problem in found.problems), found.problems
+
+
 def test_another_finger_does_not_do_a_trial_again(tmp_path: Path) -> None:
     for attempt, finger in enumerate(["right_index", "left_thumb"]):
         with BagWriter(tmp_path / finger, {"condition": "dry"}) as bag:

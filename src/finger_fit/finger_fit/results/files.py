@@ -6,6 +6,7 @@ folder."""
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import tempfile
@@ -31,9 +32,13 @@ def _check_writable(folder: Path) -> None:
     try:
         tempfile.TemporaryFile(dir=existing).close()
     except OSError as error:
-        raise InputError(
-            f"{folder}: nothing can be written there ({error.strerror}); give another folder"
-        ) from None
+        raise _no_folder(folder, error) from None
+
+
+def _no_folder(folder: Path, error: OSError) -> InputError:
+    return InputError(
+        f"{folder}: nothing can be written there ({error.strerror}); give another folder"
+    )
 
 
 @contextmanager
@@ -44,9 +49,12 @@ def alone_in(folder: Path) -> Iterator[None]:
     into. File systems without locks are not guarded.
     """
     _check_writable(folder)
-    made = not folder.exists()
-    folder.mkdir(parents=True, exist_ok=True)
-    handle = os.open(folder, os.O_RDONLY)
+    made = list(itertools.takewhile(lambda path: not path.exists(), (folder, *folder.parents)))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        handle = os.open(folder, os.O_RDONLY)
+    except OSError as error:
+        raise _no_folder(folder, error) from None
     try:
         if not take_lock(handle):
             raise InputError(
@@ -56,9 +64,9 @@ def alone_in(folder: Path) -> Iterator[None]:
         yield
     finally:
         os.close(handle)
-        if made:
-            with suppress(OSError):  # it holds the fit
-                folder.rmdir()
+        with suppress(OSError):  # the first one holds the fit
+            for path in made:
+                path.rmdir()
 
 
 def check_folder(folder: Path, fingers: Iterable[Finger]) -> None:

@@ -110,7 +110,7 @@ class ConditionFit:
     top_costs (C,): best distinct candidates. bias_corrected: empty without bias pairs; samples (B,
     N): bootstrap. areas (n,): the model's areas (m²) at the frames; goodness: R² there; curves: at
     every step of each trial's drive. status: "final", "not checked", "not final" or "interrupted",
-    with reasons. unsaved: why a checkpoint could not be written, empty where all were.
+    with reasons. unsaved: why a checkpoint lacks rounds, empty where all are whole.
     """
 
     condition: str

@@ -44,7 +44,7 @@ class Search:
     """What a search evaluated.
 
     candidates (R, C, N), costs (R, C) of R rounds with C candidates each; complete: all rounds were
-    run; unsaved: why a checkpoint could not be written, empty where all were.
+    run; unsaved: why the checkpoint lacks the last rounds, empty where it holds all.
     """
 
     name: str
@@ -226,8 +226,9 @@ def search(
             if checkpoint is not None and index >= len(done_points):
                 try:
                     _save(checkpoint, identity, points, costs)
+                    unsaved = ""  # it holds all rounds
                 except (InputError, OSError) as error:
-                    unsaved = unsaved or str(error)
+                    unsaved = str(error)
             if progress is not None:
                 best = Search(name, np.array(points), np.array(costs)).best
                 progress(index + 1, rounds, best[1], best[0])

@@ -23,11 +23,11 @@ from finger_offline.trial_records import TrialRecord, TrialSet
 from finger_offline.trial_split import TrialSettings
 from finger_offline.trials import (
     NoAreas,
+    check_areas,
     shared_sessions,
     streams_with_areas,
     trials_in,
     trials_of,
-    without_areas,
     without_superseded,
 )
 
@@ -93,11 +93,13 @@ def load(
             found, force_source, made_by = _read(bag, settings)
         except NoAreas as error:
             lacking.append(error)
-            continue
+            found, force_source = error.found, ""
         out.records += found.trials
         excluded += found.exclusions
         out.problems += found.problems
         out.lost += found.lost
+        if not force_source:
+            continue
         out.sources.append(
             {
                 "bag": bag.name,
@@ -110,7 +112,7 @@ def load(
         )
     if progress is not None:
         progress(len(bags), len(bags))
-    excluded += without_areas(lacking, len(bags))
+    check_areas(lacking, len(bags))
     recorded = [source["bag"] for source in out.sources if "topic" in source["areas"]]
     if recorded and (settings.calibration or settings.area_per_pixel):
         out.problems.append(

@@ -10,11 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from finger_common.errors import InputError
 from finger_model.paper import CONDITIONS
 
 from ..options import FitOptions
-from ..problem import FitTrial
+from ..problem import DataError, FitTrial
 from ..problem.moisture import moisture_clusters
 
 NEAR_LEVEL = 15.0
@@ -27,7 +26,7 @@ def group_trials(
 ) -> tuple[dict[str, list[FitTrial]], list[str]]:
     """Trials by condition in order of moisture, and notes on how missing conditions were filled in.
 
-    Raises InputError when a condition asked for does not occur or nothing is left.
+    Raises DataError when a condition asked for does not occur or nothing is left.
     """
     notes: list[str] = []
     nameless = [t for t in trials if not t.condition]
@@ -58,11 +57,11 @@ def group_trials(
     for name in conditions:
         if name not in groups:
             known = ", ".join(groups) or "none"
-            raise InputError(f"condition '{name}' does not occur in the bags; they hold {known}")
+            raise DataError(f"condition '{name}' does not occur in the bags; they hold {known}")
     if conditions:
         groups = {name: group for name, group in groups.items() if name in conditions}
     if not groups:
-        raise InputError("no trial is left to fit; see the exclusions in the report")
+        raise DataError("no trial is left to fit; see the exclusions in the report")
 
     def mean_moisture(item: tuple[str, list[FitTrial]]) -> float:
         values = [t.moisture for t in item[1] if np.isfinite(t.moisture)]

@@ -297,8 +297,8 @@ class _Work:
                 continue
             if fit.unsaved:
                 notes.append(
-                    f"condition '{name}': a checkpoint, which only --resume needs, was not "
-                    f"written: {fit.unsaved}"
+                    f"condition '{name}': a checkpoint, which only --resume needs, lacks the last "
+                    f"rounds: {fit.unsaved}"
                 )
             fits[name] = fit
             left.remove(name)
