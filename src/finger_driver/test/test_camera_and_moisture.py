@@ -868,6 +868,37 @@ def test_numbers_right_after_garbage_are_no_readings(
         assert send(b"%.1f\r\n" % value, later=1.0).value == value
 
 
+def test_numbers_that_are_left_out_after_garbage_are_told(adapter: Any) -> None:
+    source, send = adapter
+    assert all_sent(source, send, b"\x80\x00\r\n3\r\n") == []
+    assert source.health.faults["malformed"] == (
+        "numbers right after a line that is not text are left out; check cable, baud rate and what "
+        "the probe sends"
+    )
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        "T 25.1 °C".encode("latin-1"),
+        "T 25.1 °C".encode(),
+        "5 °C".encode(),
+        "Y 3 µS".encode(),
+        b"\f",
+        b"\x03",
+        b"\x02time 0\x03",
+    ],
+)
+def test_foreign_letters_and_control_characters_in_each_record_cost_no_reading(
+    adapter: Any, other: bytes
+) -> None:
+    """A probe whose records hold a number and a line of another quantity, without silences."""
+    source, send = adapter
+    values = [41.0, 42.0, 43.0, 44.0, 45.0, 46.0]
+    records = b"".join(b"%s\r\n%.1f\r\n" % (other, value) for value in values)
+    assert all_sent(source, send, records) == values
+
+
 def test_exports_in_the_forms_that_spreadsheets_write() -> None:
     form = TableFormat(
         export_value_column="Wert",

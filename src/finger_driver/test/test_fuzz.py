@@ -187,8 +187,8 @@ def serial_lines(random_: random.Random) -> Iterator[None]:
     pattern = lines.compile_pattern(lines.DEFAULT_PATTERN)
     seeds = [b"M=42.0;before\r\n", b"17,5\n", b"130\r\n"]
     while True:
-        for line, _whole in splitter.feed(mutated(random_, seeds, 600)):
-            parsed = None if line is None else lines.parse_line(line, pattern)
+        for line in splitter.feed(mutated(random_, seeds, 600)):
+            parsed = None if line.text is None else lines.parse_line(line.text, pattern)
             assert parsed is None or np.isfinite(parsed.value)
         assert len(splitter._rest) <= lines.MAX_LINE + 1
         yield

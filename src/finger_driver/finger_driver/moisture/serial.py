@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import contextlib
-import re
 import termios
 import time
 from collections import deque
@@ -26,12 +25,10 @@ _LONGEST_LINE = 5.0
 """Seconds for which bytes may come without an end of line."""
 _SILENCE = 0.05
 """Seconds of silence before a line; what comes sooner after connecting may be the rest of one, and
-after a line that is not text it may be garbage, too."""
+after a line of garbage it may be garbage, too."""
 _DOUBTED = 3
-"""Bare numbers that may be garbage, after a line that is not text and without a silence between;
-garbage makes hardly so many one after the other."""
-_NO_TEXT = re.compile(r"[^\t -~]")
-"""What is not in lines of text."""
+"""Bare numbers that may be garbage, after a line of garbage and without a silence between; garbage
+makes hardly so many one after the other."""
 _LOOK = 0.02
 """Seconds between looks for bytes, within which silence is noticed."""
 
@@ -60,7 +57,7 @@ class SerialSource(MoistureSource):
     Each must match a pattern with a group `value` and perhaps a group `phase` (before, after). What
     may be the rest of a line, after connecting or a break, is a reading only where something stands
     before its value: "2.0" may be the end of "42.0", "M=2.0" is not. So it is with numbers that
-    follow a line that is not text at once, as a wrong baud rate or a loose contact makes them.
+    follow at once a line that is mostly no text, as a wrong baud rate or a loose contact makes it.
     """
 
     NAME = "serial"
@@ -74,8 +71,8 @@ class SerialSource(MoistureSource):
         self._pattern = lines.compile_pattern(settings.serial_pattern)
         self._port: serial.Serial | None = None
         self._splitter = lines.LineSplitter()
-        self._ready: deque[tuple[int, str | None, bool]] = deque()
-        """Time of arrival (ns), text and wholeness of lines, as of `LineSplitter.feed`."""
+        self._ready: deque[tuple[int, lines.Line]] = deque()
+        """Lines with their times of arrival (ns)."""
         self._doubted = 0
         """Number of bare numbers to come that may be garbage."""
         self._last_byte = self._line_began = 0.0
@@ -176,27 +173,34 @@ class SerialSource(MoistureSource):
                 "bytes come without an end of line (CR or LF); check the baud rate and what ends "
                 "a line",
             )
-        self._ready.extend((stamp, *line) for line in splitter.feed(data))
+        self._ready.extend((stamp, line) for line in splitter.feed(data))
 
-    def _parse(self, stamp: int, line: str | None, whole: bool) -> Reading | None:
-        parsed = None if line is None else lines.parse_line(line, self._pattern)
+    def _parse(self, stamp: int, line: lines.Line) -> Reading | None:
+        parsed = None if line.text is None else lines.parse_line(line.text, self._pattern)
         if parsed is not None and not parsed.bare:
             self._doubted = 0
-        elif parsed is not None and (self._doubted or not whole):
-            self._doubted = max(self._doubted - 1, 0)
+        elif parsed is not None and (self._doubted or not line.whole):
+            if self._doubted:
+                self._doubted -= 1
+                self.note(
+                    "malformed",
+                    "numbers right after a line that is not text are left out; check cable, baud "
+                    "rate and what the probe sends",
+                )
             self.health.count("partial")
             return None
         if parsed is not None:
             self.cleared("malformed")
             return self.reading(stamp, parsed.value, PHASES.get(parsed.phase, PHASE_UNKNOWN))
-        if line is None or _NO_TEXT.search(line):
+        if line.garbage:
             self._doubted = _DOUBTED
-        if not whole:
+        if not line.whole:
             self.health.count("partial")
-        elif line is None:
+        elif line.text is None:
             self.note("malformed", "a line is too long or not ASCII text; check the baud rate")
         else:
             self.note(
-                "malformed", f"line {line[:40]!r} does not match serial_pattern; it is left out"
+                "malformed",
+                f"line {line.text[:40]!r} does not match serial_pattern; it is left out",
             )
         return None

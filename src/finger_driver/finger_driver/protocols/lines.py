@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from finger_common.errors import InputError
 
@@ -15,6 +16,25 @@ DEFAULT_PATTERN = r"(?:M[= ]?)?(?P<value>[-+]?\d+(?:[.,]\d+)?)(?:[;, ](?P<phase>
 """A bare number, with decimal point or comma, or `M=42.0;before`."""
 MAX_LINE = 256
 """Bytes; what runs on longer without an end of line is not a line."""
+
+_FRAME = " \t\v\f\x02\x03\x04"
+"""Blanks, and control characters with which devices begin and end a text or a page."""
+_NO_TEXT = re.compile(r"[^\t -~]")
+"""What is not in lines of text."""
+_GARBAGE = 1 / 3
+"""Share of such characters above which a line is garbage; below it, text with a foreign letter or
+two, as in "25.1 °C"."""
+
+
+class Line(NamedTuple):
+    """A line of a stream of bytes."""
+
+    text: str | None
+    """None where it is too long or not ASCII."""
+    whole: bool
+    """Whether no beginning of it was missed."""
+    garbage: bool
+    """Whether it is too long or mostly no text, as by a wrong baud rate or a loose contact."""
 
 
 @dataclass(frozen=True)
@@ -68,19 +88,18 @@ class LineSplitter:
     def __init__(self) -> None:
         self._rest, self._within = b"", False
 
-    def feed(self, data: bytes) -> list[tuple[str | None, bool]]:
-        """Lines that are complete now, without their ends (CR, LF or both), None for one that is
-        too long or not ASCII; each with whether it is whole: no beginning of it was missed."""
+    def feed(self, data: bytes) -> list[Line]:
+        """Lines that are complete now, without their ends (CR, LF or both)."""
         *lines, rest = re.split(rb"[\r\n]", self._rest + data)
         # One byte too many is enough to know that the line is too long when it ends.
         self._rest = rest[: MAX_LINE + 1]
-        found: list[tuple[str | None, bool]] = []
+        found: list[Line] = []
         for line in lines:
             whole, self._within = not self._within, False
-            if len(line) > MAX_LINE or not line.isascii():
-                found.append((None, whole))
-            elif line:
-                found.append((line.decode("ascii"), whole))
+            if line:
+                long = len(line) > MAX_LINE
+                text = None if long or not line.isascii() else line.decode("ascii")
+                found.append(Line(text, whole, long or _is_garbage(line)))
         return found
 
     def reset(self, within: bool = False) -> None:
@@ -94,3 +113,9 @@ class LineSplitter:
     def unfinished(self) -> bool:
         """Whether bytes wait for the rest of their line."""
         return bool(self._rest)
+
+
+def _is_garbage(line: bytes) -> bool:
+    """Whether a line is mostly no text; a foreign letter in UTF-8 is one character."""
+    text = line.decode("utf-8", "replace").strip(_FRAME)
+    return len(_NO_TEXT.findall(text)) > _GARBAGE * len(text)
