@@ -64,6 +64,10 @@ FROZEN = 3
 PALE_PRINT = AreaFlag.NO_CONTACT | AreaFlag.LOW_CONTRAST
 """Flags of an image in which no contact was found, and one may be all the same."""
 
+DOUBTS = ("contrast", "still")
+"""Faults of a measured image: a print too pale to be seen, and a contact that does not change, so
+that it may be marks on the plate."""
+
 
 @dataclass(frozen=True)
 class VisionSettings(FrameSettings):
@@ -241,11 +245,12 @@ class VisionNode(ManagedNode):
         self.health.cleared("light", "frame", "failure")
         if measurement.flags & AreaFlag.NO_CONTACT:
             self.health.count("without_contact")
-        text = self._doubt(measurement, stamp_of(message.header.stamp))
-        if text:
-            self.log_fault(self.health, "contrast", text, WARN)
-        else:
-            self.health.cleared("contrast")
+        doubt, text = self._doubt(measurement, stamp_of(message.header.stamp))
+        for key in DOUBTS:
+            if key == doubt:
+                self.log_fault(self.health, key, text, WARN)
+            else:
+                self.health.cleared(key)
         if self._overlays.get_subscription_count() > 0:
             picture = draw_overlay(image, measurement, self.calibration)
             overlay = Image(
@@ -258,34 +263,34 @@ class VisionNode(ManagedNode):
             overlay.data = picture.tobytes()
             self._overlays.publish(overlay)
 
-    def _doubt(self, measurement: ContactMeasurement, stamp: int) -> str:
-        """What to say of a pale print, or of marks that count as a contact, in an image of `stamp`
-        (ns); empty where there is nothing."""
+    def _doubt(self, measurement: ContactMeasurement, stamp: int) -> tuple[str, str]:
+        """Which of DOUBTS there is, and what to say of it, in an image of `stamp` (ns); both empty
+        where there is none."""
         still, self._still = self._still, None
         self._stands = False
         jumped = self._jumped(stamp)
         if measurement.flags & PALE_PRINT == PALE_PRINT:
-            return (
+            return "contrast", (
                 "no contact can be seen: the plate is too dark, a print is too pale, or an earlier "
                 "one lies on the plate; check light, exposure and focus, or clean the plate (set "
                 "polarity to bright for a plate that is dark by design)"
             )
         if measurement.flags & AreaFlag.NO_CONTACT:
-            return ""
+            return "", ""
         if still is None or jumped or not _unchanged(measurement, still[1]):
             still = stamp, measurement
         self._still = still
         if stamp - still[0] <= STILL:
-            return ""
+            return "", ""
         seconds = (stamp - still[0]) / NANOSECONDS
         self._stands = bool(measurement.flags & AreaFlag.NO_BACKGROUND)
         if self._stands:
-            return (
+            return "still", (
                 f"a contact has not changed for {seconds:.0f} s, and no empty plate was seen; "
                 "marks on the plate or its mount may count as one: clean the plate, then, with no "
                 "finger on it, call ~/reset, which takes marks that stay as part of the plate"
             )
-        return (
+        return "still", (
             f"a contact of low contrast has not changed for {seconds:.0f} s; where no finger "
             "presses, sweat or dirt counts as one: clean the plate, then call ~/reset"
         )
@@ -388,7 +393,8 @@ class VisionNode(ManagedNode):
             self._stream.reset()
             self._take_plate = self._stands
             self._still, self._stands = None, False
-            self.health.recovered("contrast")
+            for key in DOUBTS:
+                self.health.recovered(key)
         response.success = True
         response.message = "background forgotten; it is learned again from " + (
             "the next image, with the contact that had not changed"

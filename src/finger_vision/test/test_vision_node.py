@@ -116,7 +116,28 @@ def said_here(node: Any, picture: np.ndarray, second: int, words: str) -> bool:
     image = Image(height=height, width=width, encoding="mono8", step=width, data=picture.tobytes())
     image.header.stamp.sec = second
     node._measure(image)
-    return words in node.health.faults.get("contrast", "")
+    return any(words in text for text in node.health.faults.values())
+
+
+def test_a_print_that_stands_still_right_after_a_pale_one_is_logged_too(ros_domain: int) -> None:
+    renderer = FtirRenderer("natural", seed=8, scene=Scene(latent=0.0))
+    logged: list[str] = []
+    with node_here(ros_domain) as node:
+        assert node.bring_up()
+        node.log = lambda level, text: logged.append(text)
+        # Both within the time for which a fault that comes and goes is held.
+        node.health._clock = lambda: 0.0
+        pale, still = "a print is too pale", "of low contrast has not changed"
+        assert said_here(node, paled(renderer, 0.25), 1, pale)
+        said_here(node, renderer.empty(), 2, "")
+        for second in (3, 8, 9):
+            said_here(node, paled(renderer, 0.35), second, still)
+        assert [[words in text for words in (pale, still)] for text in logged] == [
+            [True, False],
+            [False, True],
+        ]
+        node._on_reset(Trigger.Request(), Trigger.Response())
+        assert not node.health.faults
 
 
 @pytest.mark.parametrize("mark", ["round mask", "line"])
@@ -180,7 +201,7 @@ def test_a_finger_is_not_said_to_stand_still_over_a_jump_of_the_clock(
 
         def said(stamp_ns: int) -> bool:
             node._measure(stamped(renderer.render(2e-3), stamp_ns))
-            return "not changed" in node.health.faults.get("contrast", "")
+            return "not changed" in node.health.faults.get("still", "")
 
         steps = [10**12 + number * 10**8 for number in range(60)]
         other = [0 if jump is None else stamp + jump * 10**9 for stamp in steps]
