@@ -9,7 +9,6 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -321,50 +320,49 @@ def _by_force(
     return chosen
 
 
-def number_of(trial: TrialEvent | TrialRecord) -> tuple[str, str, str, str, int]:
-    """What the attempts at a trial have in common: numbers may begin again with each session,
-    subject, finger and condition."""
-    return trial.session, trial.subject, trial.finger, trial.condition, trial.index
-
-
 _NAMES = ("subject", "finger", "condition")
 """Names in an announcement that may be empty."""
 
-
-def _completed(events: Sequence[TrialEvent]) -> list[TrialEvent]:
-    """Events in order; one without subject, finger or condition, as of a program that does not give
-    them, has that of the others of its session, number and attempt where these agree."""
-    known: dict[tuple[Any, ...], set[str]] = {}
-    for event in events:
-        for name in _NAMES:
-            text = getattr(event, name)
-            of = known.setdefault((event.session, event.index, event.attempt, name), set())
-            of |= {text} if text else set()
-    found = []
-    for event in sorted(events, key=lambda e: e.stamp_ns):
-        empty = [n for n in _NAMES if not getattr(event, n)]
-        others = {n: known[event.session, event.index, event.attempt, n] for n in empty}
-        found.append(replace(event, **{n: min(of) for n, of in others.items() if len(of) == 1}))
-    return found
+_UNTIL_PRESS = (TrialPhase.PREPARE, TrialPhase.MOISTURE_BEFORE, TrialPhase.PRESS)
 
 
 def _announced(events: Sequence[TrialEvent]) -> list[list[TrialEvent]]:
     """Events of each trial that announce a press, in the order of the presses.
 
-    A press that is announced after one of the same number and attempt was judged is another trial.
+    Numbers may begin again with each subject, finger and condition, and after a verdict: phases up
+    to the press begin another trial when no trial of their number and attempt has their names, or
+    the newest one was judged. Later phases belong to the newest trial with their names, or else to
+    the newest one. A name that is not given, as by a program that knows none, is as any other; the
+    last event of a trial has all names of the trial, each as it was given first.
     """
-    last: dict[tuple[Any, ...], list[TrialEvent]] = {}
-    groups: list[list[TrialEvent]] = []
-    for event in _completed(events):
-        key = (*number_of(event), event.attempt)
-        phases = {e.phase for e in last.get(key, ())}
-        judged = TrialPhase.PRESS in phases and phases & {TrialPhase.DONE, TrialPhase.FAILED}
-        if key not in last or (event.phase == TrialPhase.PRESS and judged):
-            groups.append([])
-            last[key] = groups[-1]
-        last[key].append(event)
-    pressed = [g for g in groups if any(e.phase == TrialPhase.PRESS for e in g)]
+    numbered: dict[tuple[str, int, int], list[list[TrialEvent]]] = {}
+    for event in sorted(events, key=lambda e: e.stamp_ns):
+        trials = numbered.setdefault((event.session, event.index, event.attempt), [])
+        begins = event.phase in _UNTIL_PRESS
+        named = [trial for trial in trials if _may_name(event, trial[-1])]
+        fitting = named if begins else named or trials
+        if not fitting or (begins and _judged(fitting[-1])):
+            trials.append([event])
+            continue
+        names = {name: getattr(fitting[-1][-1], name) or getattr(event, name) for name in _NAMES}
+        fitting[-1].append(replace(event, **names))
+    pressed = (
+        trial
+        for trials in numbered.values()
+        for trial in trials
+        if any(e.phase == TrialPhase.PRESS for e in trial)
+    )
     return sorted(pressed, key=_start)
+
+
+def _may_name(event: TrialEvent, other: TrialEvent) -> bool:
+    """Whether no name in one event differs from that in the other."""
+    pairs = ((getattr(event, name), getattr(other, name)) for name in _NAMES)
+    return all(a == b for a, b in pairs if a and b)
+
+
+def _judged(trial: Sequence[TrialEvent]) -> bool:
+    return any(e.phase in (TrialPhase.DONE, TrialPhase.FAILED) for e in trial)
 
 
 def _start(group: Sequence[TrialEvent]) -> int:
@@ -412,7 +410,7 @@ def _by_messages(
                 if failed
                 else f"no press{_apart(group, ends, stamp, found)}"
             )
-            without.append((group[0], text))
+            without.append((group[-1], text))
             continue
         best = max(inside, key=lambda p: float(normal[p[0] : p[1]].max()))
         reason = f"marked as failed: {failed.note or 'no reason given'}" if failed else ""

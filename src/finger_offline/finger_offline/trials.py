@@ -21,10 +21,11 @@ from finger_bag.streams import (
     read_streams,
 )
 from finger_common.errors import InputError, listed
+from finger_common.subject_code import may_be_one
 
 from .image_areas import ImageAreas
 from .trial_records import Exclusion, TrialRecord, TrialSet
-from .trial_split import TrialSettings, number_of, split
+from .trial_split import TrialSettings, split
 
 
 class NoAreas(InputError):
@@ -124,16 +125,17 @@ def without_superseded(
     """Of trials that were done again, also in another bag of the folder, the last attempt, of those
     that were completed where there are any, also in another folder; and the others."""
     last: dict[tuple[Any, ...], tuple[bool, int]] = {}
-    completed = {number_of(trial) for trial in trials if trial.completed}
-    for trial in trials:
-        key = (_folder(trial), *number_of(trial))
+    numbers = _numbers(trials)
+    completed = {number for trial, number in zip(trials, numbers) if trial.completed}
+    for trial, number in zip(trials, numbers):
+        key = (_folder(trial), *number)
         rank = (trial.completed, trial.attempt)
         # A disk that was full may have the failed attempt, and another one the trial.
-        least = (number_of(trial) in completed, 0)
+        least = (number in completed, 0)
         last[key] = max(last.get(key, rank), rank, least)
     kept, again = [], []
-    for trial in trials:
-        key = (_folder(trial), *number_of(trial))
+    for trial, number in zip(trials, numbers):
+        key = (_folder(trial), *number)
         if (trial.completed, trial.attempt) < last[key]:
             why = "done again" if trial.attempt < last[key][1] else "not completed, unlike another"
             reason = f"attempt {trial.attempt}, {why}"
@@ -147,8 +149,9 @@ def shared_sessions(trials: Sequence[TrialRecord]) -> list[str]:
     """Sentences on sessions of one id that were recorded in several folders: whether a trial of one
     was done again in the other is not known."""
     folders: dict[tuple[Any, ...], list[Path]] = {}
-    for trial in (t for t in trials if t.session and t.completed):
-        known = folders.setdefault(number_of(trial), [])
+    done = [t for t in trials if t.session and t.completed]
+    for trial, number in zip(done, _numbers(done)):
+        known = folders.setdefault(number, [])
         known += [folder] if (folder := _folder(trial)) not in known else []
     places = {number[:2]: found for number, found in folders.items() if len(found) > 1}
     return [
@@ -156,6 +159,19 @@ def shared_sessions(trials: Sequence[TrialRecord]) -> list[str]:
         f"({listed(found)}) with trials of the same numbers; all of them are kept: leave out "
         "what is a copy or was done again, and give two people two codes"
         for (session, subject), found in places.items()
+    ]
+
+
+def _numbers(trials: Sequence[TrialRecord]) -> list[tuple[Any, ...]]:
+    """What each trial has in common with its other attempts: numbers may begin again with each
+    session, subject, condition and finger, unless the fingers of a number may be one."""
+    numbers = [(t.session, t.subject, t.condition, t.index) for t in trials]
+    fingers: dict[tuple[Any, ...], set[str]] = {}
+    for trial, number in zip(trials, numbers):
+        fingers.setdefault(number, set()).add(trial.finger)
+    return [
+        (*number, "" if may_be_one(*fingers[number]) else trial.finger)
+        for trial, number in zip(trials, numbers)
     ]
 
 

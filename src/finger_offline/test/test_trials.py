@@ -270,6 +270,101 @@ def test_another_finger_does_not_do_a_trial_again(tmp_path: Path) -> None:
     assert {t.finger for t in found} == {"right_index", "left_thumb"} and not found.exclusions
 
 
+def write_announced(path: Path, *trials: list[tuple[float, TrialPhase, dict[str, Any]]]) -> Path:
+    """A bag with a press 2 s after the begin of each trial, every 10 s; a trial has announcements
+    with their times (s) after its begin."""
+    with BagWriter(path, {"session": "s", "subject": "S01"}) as bag:
+        for number, announcements in enumerate(trials):
+            begin = START + number * 10_000_000_000
+            for after, phase, about in announcements:
+                header = {"stamp": begin + round(after * 1e9), "frame_id": about.get("finger", "")}
+                fields = {k: v for k, v in about.items() if k != "finger"}
+                bag.write("trial", {"session": "s", **fields, "header": header, "phase": phase})
+            write_press(bag, begin + 2_000_000_000)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("names", "later"),
+    [
+        ([{"condition": "dry"}, {"condition": "moist"}], {}),
+        ([{"condition": "dry", "finger": "right"}] * 2, {"finger": "right_index"}),
+        ([{"condition": "dry", "subject": "S01"}] * 2, {"subject": "S1"}),
+    ],
+    ids=["names in the cue to press alone", "another finger", "another subject"],
+)
+def test_a_verdict_belongs_to_its_press_whatever_it_names(
+    tmp_path: Path, names: list[dict[str, Any]], later: dict[str, Any]
+) -> None:
+    """Also the pull: a failed press and a pull are no trials for the area."""
+    path = write_announced(
+        tmp_path / "bag",
+        *(
+            [
+                (2.0, TrialPhase.PRESS, {**about, "index": index}),
+                *([(4.0, TrialPhase.PULL, {**later, "index": index})] if index == 2 else []),
+                (6.0, verdict, {**later, "index": index, "note": "slipped"}),
+            ]
+            for about in names
+            for index, verdict in enumerate([TrialPhase.DONE, TrialPhase.FAILED, TrialPhase.DONE])
+        ),
+    )
+    found = load_trials(path)
+    kept = [(t.index, t.condition, t.subject, t.finger, t.completed) for t in found]
+    assert kept == [
+        (0, about["condition"], "S01", about.get("finger", ""), True) for about in names
+    ]
+    assert [e.index for e in found.exclusions] == [1, 2] * 2
+    assert found.exclusions[0].reason == "marked as failed: slipped"
+    assert len(found.pulls) == 2
+
+
+def test_what_is_announced_after_a_verdict_is_of_the_next_trial(tmp_path: Path) -> None:
+    """With its target; without a press it is no trial."""
+    path = write_announced(
+        tmp_path / "bag",
+        *(
+            [
+                (0.0, first, {"condition": "dry", "target_force": force}),
+                (2.0, TrialPhase.PRESS, {"target_force": force}),
+                (6.0, TrialPhase.DONE, {"target_force": force}),
+                (7.0, TrialPhase.PREPARE, {"target_force": 9.0}),
+            ]
+            for first, force in ((TrialPhase.PREPARE, 1.0), (TrialPhase.MOISTURE_BEFORE, 2.0))
+        ),
+    )
+    found = load_trials(path)
+    assert [(t.target_force, t.condition) for t in found] == [(1.0, "dry"), (2.0, "dry")]
+    assert not found.exclusions
+
+
+@pytest.mark.parametrize("bags", [1, 2])
+@pytest.mark.parametrize(
+    ("fingers", "kept"),
+    [
+        (["", "right_index"], ["right_index"]),
+        (["right_index", ""], [""]),
+        (["right_index", "left_thumb"], ["right_index", "left_thumb"]),
+    ],
+)
+def test_an_attempt_without_a_finger_is_one_at_the_same_trial(
+    tmp_path: Path, bags: int, fingers: list[str], kept: list[str]
+) -> None:
+    trials = [
+        [
+            (after, phase, {"condition": "dry", "attempt": attempt, "finger": finger})
+            for after, phase in ((2.0, TrialPhase.PRESS), (6.0, TrialPhase.DONE))
+        ]
+        for attempt, finger in enumerate(fingers)
+    ]
+    for number in range(bags):
+        write_announced(tmp_path / f"bag_{number}", *(trials if bags == 1 else [trials[number]]))
+    found = load_trials(tmp_path)
+    assert [t.finger for t in found] == kept
+    again = ["attempt 0, done again"] if len(kept) == 1 else []
+    assert [e.reason for e in found.exclusions] == again
+
+
 def test_presses_that_nothing_announces_are_counted(tmp_path: Path) -> None:
     path = tmp_path / "bag"
     with BagWriter(path, {"condition": "dry"}) as bag:
