@@ -36,7 +36,7 @@ _SHORTEST, _FEWEST = 0.5, 5
 """s that a rate is measured over at least, and samples that are due meanwhile."""
 
 _APART = 2
-"""Reports, the first of which is of the second in which numbers of samples went back."""
+"""Reports with numbers, the first of which is of the time in which they went back."""
 
 _PATIENCE, _START = 5, 20.0
 """Wrong rates in a row after which they are logged, and right ones after which their end is; s from
@@ -129,7 +129,9 @@ class Health:
         self._count = self._missed = self._gaps = 0
         """Samples, those that were lost, and those that numbers left out since the last report."""
         self._apart = 0
-        """Reports in which gaps are not counted, as numbers went back before."""
+        """Reports with numbers in which gaps are not counted, as numbers went back before."""
+        self._compared = False
+        """Whether a number followed another one since the last report."""
         self._number: int | None = None
         self._first_sample: float | None = None
         self._last_sample: float | None = None
@@ -157,11 +159,13 @@ class Health:
     def numbered(self, number: int | None) -> None:
         """Count samples as lost that are missing before this one, by the number that its publisher
         gave it; None where it gives none. A number that is not higher begins another count, and
-        what is left out in this second and the next is no loss: two publishers may count apart."""
+        what is left out until this report and the next one with numbers is no loss: two publishers
+        may count apart."""
         with self._lock:
             last, self._number = self._number, number
             if last is None or number is None:
                 return
+            self._compared = True
             self._gaps += max(number - last - 1, 0)
             if number <= last:
                 self._apart = _APART
@@ -186,10 +190,11 @@ class Health:
 
         A fault that comes and goes is logged once, and diagnostics once a second do not miss it.
         """
-        for key in keys:
-            fault = self._faults.get(key)
-            if fault is not None:
-                fault.absent = True
+        with self._lock:
+            for key in keys:
+                fault = self._faults.get(key)
+                if fault is not None:
+                    fault.absent = True
 
     def passed(self, key: str, message: str) -> bool:
         """A fault is over: for HOLD s more the message is shown as a warning in its place. True
@@ -268,7 +273,8 @@ class Health:
         elif self._gaps:
             self._missed += self._gaps
             self.counters["lost"] += self._gaps
-        self._gaps, self._apart = 0, max(self._apart - 1, 0)
+        self._gaps, self._apart = 0, max(self._apart - self._compared, 0)
+        self._compared = False
 
     def _measure(self, now: float, silent: bool) -> tuple[float | None, tuple[int, str]]:
         """Rate (Hz) and what is to be logged of it; a wrong one is a fault from now on."""

@@ -200,6 +200,25 @@ def test_a_second_publisher_makes_no_sample_count_as_lost(other: int) -> None:
     assert health.report().values["lost"] == "50"
 
 
+def test_the_end_of_a_slow_second_publisher_makes_no_sample_count_as_lost() -> None:
+    """Between its last number and the next one of the first are reports without a number."""
+    clock = Clock()
+    health = source(clock, rate_tolerance=0.1)
+    lost = set()
+    for second in range(60):
+        clock.now = float(second)
+        if second % 2:
+            number = 70_000 + second // 2
+            for n in (number, number - 40_000) if 20 < second < 40 else (number,):
+                health.numbered(n)
+                health.sample()
+        clock.now += 0.5
+        report = health.report()
+        assert report.level == OK
+        lost.add(report.values.get("lost"))
+    assert lost == {None}
+
+
 def test_a_silent_source_says_what_to_check_which_is_no_cause() -> None:
     clock = Clock()
     health = source(clock, stale_after=0.5)
