@@ -494,20 +494,22 @@ def test_a_driver_that_starts_again_with_a_negative_zero_while_an_object_is_held
     model: ReducedModel, zero: float
 ) -> None:
     """Where the force shows no contact, or hardly one, the object may be held all the same: that is
-    flagged from the first sample on, whatever the camera sees of it, until the force rests near
-    zero. So it is when the driver starts once more."""
+    flagged from the first sample on, until the camera sees an empty plate. A force near zero is no
+    rest while the camera sees the object. So it is when the driver starts once more."""
     estimator = ContactEstimator(model)
-    for k in range(12, 240):
+    for k in range(12, 160):
         estimator.add_area(T0 + 100 * k * MS, 30e-6, 1e-6)
+    for k in range(160, 240):
+        estimator.add_area(T0 + 100 * k * MS, 0.0, 1e-6, int(AreaFlag.NO_CONTACT))
     held = feed(estimator, 0.0, 4.0, lambda t: 0.4 * (t > 1.0))
     assert not any(flagged(held, StateFlag.FORCE_OFFSET))
     shown = zero + 0.4 > 0.0  # a contact, that the camera then sees
     found = feed(estimator, 10.0, 10.2 if shown else 12.0, lambda t: 0.4 + zero)
     assert all(flagged(found, StateFlag.FORCE_OFFSET))
-    again = feed(estimator, 14.0, 14.4, lambda t: 0.01)
+    again = feed(estimator, 14.0, 16.0, lambda t: 0.01)
     assert all(flagged(again, StateFlag.FORCE_OFFSET))
-    tared = feed(estimator, 14.4, 24.0, lambda t: 0.0)
-    assert not any(flagged(tared[200 // PERIOD :], StateFlag.FORCE_OFFSET))
+    tared = feed(estimator, 16.0, 24.0, lambda t: 0.0)
+    assert not any(flagged(tared[450 // PERIOD :], StateFlag.FORCE_OFFSET))
 
 
 @pytest.mark.parametrize("zero", [0.0, -0.2])
@@ -552,6 +554,37 @@ def test_a_finger_that_touches_soon_after_a_silence_is_one_once_it_is_seen(
         found[seen] = flagged(feed(estimator, 10.0, 12.0, force), StateFlag.FORCE_OFFSET)
     assert all(found[False]) and all(found[True][: 390 // PERIOD])
     assert not any(found[True][420 // PERIOD :])
+
+
+@pytest.mark.parametrize("level", [1.0, -0.5])
+def test_samples_of_two_seconds_leave_no_flag_after_the_contact(
+    model: ReducedModel, level: float
+) -> None:
+    """Each comes after a silence; the second one near zero ends a rest."""
+    estimator = ContactEstimator(model)
+    found = []
+    for second in range(0, 30, 2):
+        force = level if 4 <= second <= 8 else 0.0
+        found += estimator.add_wrench(T0 + second * 1000 * MS, (0.0, 0.0, -force))
+    offset = flagged(found, StateFlag.FORCE_OFFSET)
+    assert any(offset[2:6]) and not any(offset[6:])
+
+
+@pytest.mark.parametrize("low", [0.0, -0.3], ids=["near zero", "negative"])
+def test_a_press_between_short_rests_shows_that_the_finger_was_lifted_in_a_silence(
+    model: ReducedModel, low: float
+) -> None:
+    """Without a camera, and where no rest is of 0.5 s; a press from or to a negative force shows
+    nothing."""
+
+    def force(t: float) -> float:
+        return 1.0 if 1.0 < t < 5.0 or (t > 8.3 and (t - 8.3) % 1.0 < 0.7) else low * (t > 8.0)
+
+    estimator = ContactEstimator(model)
+    feed(estimator, 0.0, 4.0, force)
+    first = flagged(feed(estimator, 8.0, 9.0, force), StateFlag.FORCE_OFFSET)
+    after = flagged(feed(estimator, 9.15, 14.0, force), StateFlag.FORCE_OFFSET)
+    assert all(first) and (all(after) if low else not any(after))
 
 
 def test_after_a_silence_in_a_hold_only_a_new_area_shows_the_finger(model: ReducedModel) -> None:

@@ -48,6 +48,8 @@ PULLED_TIME = 1.0
 """s; a plate that a finger lets go of does not pull for longer."""
 REST_TIME = 0.5
 """s near zero after which such a force is tared."""
+SHORT_REST = 0.1
+"""s near zero on both sides of a contact that show that its finger came and went."""
 
 SMALLEST_AREA = 5e-6
 """m²; below it a measured area is not compared with the model's."""
@@ -113,6 +115,7 @@ CONTACT = np.dtype(
         ("loaded", "i8"),  # ns, newest sample beyond the onset force, of either sign
         ("end_unseen", "?"),  # a contact was under way at a silence, and nothing has shown since
         # whether it is: no area of a contact or of an empty plate, and no rest near zero
+        ("from_rest", "?"),  # the contact began as a finger's does, from near zero
     ],
     align=True,
 )
@@ -189,6 +192,10 @@ def _check_negative_force(config, state, normal_force, stamp):
         contact.loaded = stamp
     elif (stamp - contact.loaded) * 1e-9 > REST_TIME:
         contact.offset_suspected = contact.end_unseen = False
+    elif (
+        contact.from_rest and not contact.touching and (stamp - contact.loaded) * 1e-9 > SHORT_REST
+    ):
+        contact.end_unseen = False
     if normal_force > -config.onset_force:
         contact.negative_since = 0
     elif contact.negative_since == 0:
@@ -221,12 +228,17 @@ def _update_contact(config, state, normal_force, stamp, silent):
     if silent:
         contact.end_unseen |= contact.touching
         contact.empty_areas = 0
-        contact.loaded = stamp  # a silence is no rest
+        contact.from_rest = False
+        before = state.memory.force[(state.memory.next - 1) % REMEMBERED]
+        if abs(before) > config.onset_force:
+            contact.loaded = stamp  # the silence was no rest
     if begins:
         area_filter.copy_knowledge(state.filters, state.before)
         area_filter.begin_contact(state.filters, config.noise, stamp)
         rise = (stamp - contact.last_unloaded) * 1e-9
         contact.onset_unseen = silent or contact.last_unloaded == 0 or rise > SLOWEST_TOUCH
+        rest = (contact.last_unloaded - contact.loaded) * 1e-9
+        contact.from_rest = not contact.onset_unseen and rest > SHORT_REST
         contact.exceeded_limit = False
         contact.seen_force = 0.0
         contact.empty_areas = 0
@@ -350,6 +362,9 @@ def _fuse(config, state, stamp, area, sd, limit):
             contact.empty_areas += 1
         elif area > 0.0:
             contact.empty_areas = 0
+            if contact.end_unseen:  # a force near zero is then no rest
+                contact.from_rest = False
+                contact.loaded = max(contact.loaded, stamp)
         if contact.empty_areas >= EMPTY_AREAS:
             contact.end_unseen = False
         return False
