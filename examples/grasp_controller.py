@@ -104,6 +104,7 @@ class AreaController:
         if flags & INVALID_FLAGS or blind:
             if received - self._bad_since > self.open_after:
                 self.force = 0.0
+            self._air_since = math.inf
             return self._hold(f"contact state not valid (flags {flags})")
         in_air = not in_contact or area == 0
         self._air_since = min(self._air_since, stamp) if in_air else math.inf
@@ -140,7 +141,7 @@ class AreaController:
 
     def _hold(self, reason: str) -> float:
         self.reason = reason
-        self._good_since = self._air_since = math.inf
+        self._good_since = math.inf
         return self.force
 
 

@@ -142,6 +142,18 @@ def test_a_large_force_does_not_wait_for_the_touch_after_a_hole_in_the_states(
     assert found == controller.approach_force
 
 
+def test_slow_states_without_contact_end_the_large_force(example: Any) -> None:
+    """Each of them is stale before the next one comes."""
+    controller = example.AreaController(TARGET)
+    force, at = run(controller, 2.0, 0.0)
+    assert force > controller.approach_force
+    for _ in range(2):
+        _, at = run(controller, 0.09, at, None)
+        at += 0.01
+        found = controller.on_state(at, at, 0.0, 0.0, False, 0)
+    assert found == controller.approach_force
+
+
 @pytest.mark.parametrize("wrong", [1, 15], ids=["one sample", "30 ms"])
 def test_wrong_samples_below_the_contact_do_not_let_go(example: Any, wrong: int) -> None:
     """Once a second the force reads 2 N less for up to 30 ms, while a plate is held."""
@@ -252,6 +264,30 @@ def test_a_force_driver_that_starts_again_untared_drops_nothing(
         if not 2000 <= n < 2600:  # it is gone
             normal = finger.force + zero * (n >= 2600)
             for e in estimator.add_wrench(stamp, (0.0, 0.0, -normal)):
+                values = e.area, e.area_force_slope, e.in_contact, e.flags, e.area_stddev
+                controller.on_state(now, now, *values)
+        commands.append(controller.force)
+        finger.step(controller.force)
+    held = commands[2000]
+    assert held > 2.0 * controller.approach_force
+    assert set(commands[2000:]) == {held} and "not valid" in controller.reason
+
+
+def test_a_driver_whose_zero_cancels_the_held_force_drops_nothing_that_the_camera_sees(
+    example: Any,
+) -> None:
+    target = 45e-6
+    finger, controller = Finger(), example.AreaController(target)
+    estimator = ContactEstimator(load_reduced())
+    commands, zero = [], 0.0
+    for n in range(4500):
+        now, stamp = n * 0.002, 10**18 + n * 2_000_000
+        if n % 50 == 0:
+            estimator.add_area(stamp, finger.area, 0.5e-6, 0 if finger.area > 2e-6 else 1)
+        controller.watch(now)
+        if not 2000 <= n < 2600:  # it is gone
+            zero = zero or (n >= 2600) * -finger.force
+            for e in estimator.add_wrench(stamp, (0.0, 0.0, -finger.force - zero)):
                 values = e.area, e.area_force_slope, e.in_contact, e.flags, e.area_stddev
                 controller.on_state(now, now, *values)
         commands.append(controller.force)
