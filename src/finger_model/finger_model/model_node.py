@@ -400,8 +400,8 @@ class ModelNode(ManagedNode):
                 return
             run.area_received, run.plate = True, message.header.frame_id
             area = area_of(message)
-            if area[1] != 0.0 and not area[3] & run.estimator.settings.rejected_area_flags:
-                self._model_diagnostics.see_area(*area[1:3])
+            left_out = bool(area[3] & run.estimator.settings.rejected_area_flags)
+            self._model_diagnostics.see_area(*area[1:3], area[1] != 0.0 and not left_out)
             if self._calibration.collector.collecting:
                 self._calibration.collector.add_area(*area)
             used = run.estimator.add_area(*area, live=True)

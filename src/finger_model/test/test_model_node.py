@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,7 @@ from rclpy.serialization import deserialize_message  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
+from finger_common.diagnostics import Health  # noqa: E402
 from finger_common.flags import AreaFlag, StateFlag  # noqa: E402
 from finger_common.node import LATCHED_QOS, FixedMessage  # noqa: E402
 from finger_model.estimator import (  # noqa: E402
@@ -49,6 +51,7 @@ from finger_model.messages import (  # noqa: E402
     state_numbers,
     wrench_of,
 )
+from finger_model.node.model_diagnostics import ModelDiagnostics  # noqa: E402
 from finger_model.parameter_sets import ParameterSets  # noqa: E402
 from finger_model.shape.estimate import ShapeEstimate  # noqa: E402
 from finger_model.shape.estimator import PoseEstimator  # noqa: E402
@@ -789,6 +792,27 @@ def test_inputs_that_are_missing_or_cannot_be_used_are_named_with_a_remedy(
         if wrong:
             bench.until(lambda wrong=wrong: says("inputs", f"/finger/contact_area has {wrong}"))
     bench.until(lambda: not says("inputs", "contact_area has"))
+
+
+@pytest.mark.parametrize("other", [(0.0, 0.0), (54e-6, 2e-6)], ids=["empty", "good"])
+def test_areas_that_cannot_be_used_now_and_then_are_logged_once(
+    other: tuple[float, float],
+) -> None:
+    """The warning goes 2 s after the last of them, also where pictures are empty since."""
+    now, logged = [0.0], []
+    inputs = Health("inputs", clock=lambda: now[0])
+
+    def log_fault(health: Health, *fault: Any) -> None:
+        logged.extend([fault] * health.fault(*fault))
+
+    node: Any = SimpleNamespace(resolve_topic_name=str, log_fault=log_fault)
+    diagnostics = ModelDiagnostics(node, Health("contact state"), inputs)
+    for k in range(200):
+        now[0] = 0.1 * k
+        area, sd = (54e-6, 0.0) if k % 2 and k < 100 else other
+        diagnostics.see_area(area, sd, area > 0.0)
+        assert ("bad_area" in inputs.faults) == (1 <= k <= 119)
+    assert len(logged) == 1
 
 
 def test_a_first_start_says_that_it_compiles_and_ends_at_ctrl_c(

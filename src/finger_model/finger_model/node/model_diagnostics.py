@@ -123,17 +123,21 @@ class ModelDiagnostics:
             return f"nothing comes on {topic}, 0 publishers: check wrench_topic and namespace"
         return f"nothing comes on {topic} from {', '.join(sources)}: check that node and its sensor"
 
-    def see_area(self, area: float, sd: float) -> None:
-        """Report an area (m²) of a picture with a contact that cannot be used, by its deviation
-        (m²) or by itself."""
+    def see_area(self, area: float, sd: float, used: bool) -> None:
+        """Report an area (m²) that cannot be used, by its deviation (m²) or by itself. used:
+        whether it is of a contact, and not left out for its flags."""
         topic = self._node.resolve_topic_name("contact_area")
         sentence = ""
-        if not LEAST_AREA < area < LARGEST_AREA:
+        if used and not LEAST_AREA < area < LARGEST_AREA:
             sentence = f"gross_area {area:.3g} m², not that of a fingertip: publish it in m², "
             sentence += "30 mm² are 30e-6"
-        elif not 0.0 < sd < LARGEST_AREA:
+        elif used and not 0.0 < sd < LARGEST_AREA:
             sentence = f"area_stddev {sd:.3g} m²: publish a positive area_stddev in m²"
-        self.warn_while(bool(sentence), "bad_area", f"{topic} has {sentence}; left out")
+        if sentence:
+            sentence = f"{topic} has {sentence}; left out"
+            self._node.log_fault(self._inputs, "bad_area", sentence, WARN)
+        else:
+            self._inputs.cleared("bad_area")
 
     def _area_is_overdue(self, run: Run) -> bool:
         """Whether the contact has lasted longer than `area_stale_after` without a fused area.
