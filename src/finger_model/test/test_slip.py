@@ -465,6 +465,15 @@ def test_another_finger_is_less_stiff_to_shear():
     assert of_soft == pytest.approx(0.5 * of_default, rel=0.02)
 
 
+@pytest.mark.parametrize("force", [30.0, 1e4, 1e300])
+def test_a_load_beyond_all_that_was_compared_leaves_a_stiffness(force):
+    """As of a wrong sample; what it takes has an end."""
+    found = held(SlipEstimator(), 0.6e-3, normal=force)
+    little = held(SlipEstimator(), 0.6e-3, normal=0.1)["tangential_stiffness"][-1]
+    assert 0.3 * little < found["tangential_stiffness"][-1] < little
+    assert np.isfinite(found["tangential_displacement"]).all()
+
+
 @pytest.mark.parametrize("rate", [500, 50, 40, 20, 15])
 def test_slips_teach_friction_at_any_rate_of_the_sensor(rate):
     rng = np.random.default_rng(rate)

@@ -36,6 +36,8 @@ COMPLIANCE = backbone.SLIP_COMPLIANCE
 FIRST, FURTHEST = 1.1, 1.5
 """Displacement by c over that at the present stiffness, where a contact has just come, and at
 most."""
+MOST_TAKEN = 1.0
+"""Largest exponent of what the load takes of the stiffness: beyond, nothing was compared."""
 BRANCHES = 4
 """Most branches of the tissue."""
 FIRST_DEPTH, NODES = math.log(DEPTHS[0]), len(DEPTHS)
@@ -219,14 +221,15 @@ def stiffness(finger, indentation, normal):
     at = min(max(at, 0.0), NODES - 1.001)
     k = int(at)
     unloaded = finger.shear[k] + (at - k) * (finger.shear[k + 1] - finger.shear[k])
-    taken = SOFTENING * max(normal, 0.0) / (finger.length * unloaded)
+    load = SOFTENING * max(normal, 0.0) / finger.length
+    sudden = unloaded * math.exp(-min(load / unloaded, MOST_TAKEN))
     relaxing = finger.fractions.sum()
-    rest = 1.0 - relaxing
     if relaxing < 1e-6:
-        return unloaded * math.exp(-taken), 1.0
+        return sudden, 1.0
     # The load takes more of a slow pull's stiffness.
-    slow = rest * math.exp(taken - taken / rest)
-    return unloaded * math.exp(-taken), (1.0 - slow) / relaxing
+    relaxed = (1.0 - relaxing) * unloaded
+    slow = relaxed * math.exp(-min(load / relaxed, MOST_TAKEN))
+    return sudden, (1.0 - slow / sudden) / relaxing
 
 
 @njit(cache=True)
