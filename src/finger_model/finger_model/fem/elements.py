@@ -95,6 +95,14 @@ class Deformation(NamedTuple):
 
 
 @njit(cache=True, fastmath=True, inline="always")
+def take_places(x, nodes, xr, xz):
+    """Radial and axial positions xr, xz (4,) of the nodes (4,) of an element, of x (N, 2)."""
+    for a in range(4):
+        xr[a] = x[nodes[a], 0]
+        xz[a] = x[nodes[a], 1]
+
+
+@njit(cache=True, fastmath=True, inline="always")
 def deformation(xr, xz, gradient, radius, e, p):
     """F at Gauss point p of element e, whose nodes are at xr, xz (4,)."""
     rr = 0.0
@@ -111,6 +119,124 @@ def deformation(xr, xz, gradient, radius, e, p):
     return Deformation(rr, rz, zr, zz, r / radius[e, p], r)
 
 
+@njit(cache=True, fastmath=True, inline="always")
+def _spatial_gradients(gradient, shape, f, plane, gr, gz, gt):
+    """Radial, axial and hoop gradients gr, gz, gt (4,) of the shape functions in the deformed
+    shape; gradient (4, 2) and values (4,) in the reference shape, plane: J without the hoop."""
+    inverse = 1.0 / plane
+    for a in range(4):
+        g0 = gradient[a, 0]
+        g1 = gradient[a, 1]
+        gr[a] = (g0 * f.zz - g1 * f.zr) * inverse
+        gz[a] = (g1 * f.rr - g0 * f.rz) * inverse
+        gt[a] = shape[a] / f.r
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def _deviatoric_stress(f, q, h, tau):
+    """Kirchhoff stress τ (4,) without its volumetric part, dev b with b = q F H Fᵀ; returns tr b.
+
+    q: J^(−2/3); h (4,): H.
+    """
+    brr = q * (f.rr * f.rr * h[0] + 2.0 * f.rr * f.rz * h[3] + f.rz * f.rz * h[1])
+    bzz = q * (f.zr * f.zr * h[0] + 2.0 * f.zr * f.zz * h[3] + f.zz * f.zz * h[1])
+    btt = q * f.hoop * f.hoop * h[2]
+    trace = brr + bzz + btt
+    tau[0] = brr - trace / 3.0
+    tau[1] = bzz - trace / 3.0
+    tau[2] = btt - trace / 3.0
+    tau[3] = q * (f.rr * f.zr * h[0] + (f.rr * f.zz + f.rz * f.zr) * h[3] + f.rz * f.zz * h[1])
+    return trace
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def _deviatoric_strain(f, q, strain):
+    """dev(q F Fᵀ) (4,): the change of tr C̄ with the strain is twice this."""
+    srr = q * (f.rr * f.rr + f.rz * f.rz)
+    szz = q * (f.zr * f.zr + f.zz * f.zz)
+    stt = q * f.hoop * f.hoop
+    third = (srr + szz + stt) / 3.0
+    strain[0] = srr - third
+    strain[1] = szz - third
+    strain[2] = stt - third
+    strain[3] = q * (f.rr * f.zr + f.rz * f.zz)
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def _moduli(w, jp, trace, tau, d):
+    """Upper half of the spatial moduli d (4, 4) times the volume w; jp: J times the pressure,
+    trace: tr b."""
+    k = 2.0 / 3.0
+    c = k * trace - 2.0 * jp
+    m = jp - 2.0 / 9.0 * trace
+    d[0, 0] = w * (c + m - 2.0 * k * tau[0])
+    d[1, 1] = w * (c + m - 2.0 * k * tau[1])
+    d[2, 2] = w * (c + m - 2.0 * k * tau[2])
+    d[0, 1] = w * (m - k * (tau[0] + tau[1]))
+    d[0, 2] = w * (m - k * (tau[0] + tau[2]))
+    d[1, 2] = w * (m - k * (tau[1] + tau[2]))
+    d[0, 3] = d[1, 3] = d[2, 3] = -w * k * tau[3]
+    d[3, 3] = w * 0.5 * c
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def _add_force(w, j, jp, tau, gr, gz, gt, fe, volume_gradient):
+    """Add a point's share of the element's force fe and of the gradient of its volume (8,)."""
+    srr = tau[0] + jp
+    szz = tau[1] + jp
+    stt = tau[2] + jp
+    srz = tau[3]
+    for a in range(4):
+        fe[2 * a] += w * (gr[a] * srr + gz[a] * srz + gt[a] * stt)
+        fe[2 * a + 1] += w * (gr[a] * srz + gz[a] * szz)
+        volume_gradient[2 * a] += w * j * (gr[a] + gt[a])
+        volume_gradient[2 * a + 1] += w * j * gz[a]
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def _add_stiffness(w, jp, tau, d, gr, gz, gt, ke):
+    """Add a point's share of the lower half of the element's stiffness ke (8, 8): of the moduli d
+    (4, 4) and of the stress."""
+    wrr = w * (tau[0] + jp)
+    wzz = w * (tau[1] + jp)
+    wtt = w * (tau[2] + jp)
+    wrz = w * tau[3]
+    for a in range(4):
+        ra = gr[a]
+        za = gz[a]
+        ta = gt[a]
+        # Rows of BᵀD for the radial and the axial displacement of node a.
+        u0 = ra * d[0, 0] + ta * d[0, 2] + za * d[0, 3]
+        u1 = ra * d[0, 1] + ta * d[1, 2] + za * d[1, 3]
+        u2 = ra * d[0, 2] + ta * d[2, 2] + za * d[2, 3]
+        u3 = ra * d[0, 3] + ta * d[2, 3] + za * d[3, 3]
+        v0 = za * d[0, 1] + ra * d[0, 3]
+        v1 = za * d[1, 1] + ra * d[1, 3]
+        v2 = za * d[1, 2] + ra * d[2, 3]
+        v3 = za * d[1, 3] + ra * d[3, 3]
+        for b in range(a + 1):
+            rb = gr[b]
+            zb = gz[b]
+            tb = gt[b]
+            geometric = ra * (wrr * rb + wrz * zb) + za * (wrz * rb + wzz * zb)
+            ke[2 * a, 2 * b] += u0 * rb + u2 * tb + u3 * zb + geometric + ta * tb * wtt
+            ke[2 * a, 2 * b + 1] += u1 * zb + u3 * rb
+            ke[2 * a + 1, 2 * b] += v0 * rb + v2 * tb + v3 * zb
+            ke[2 * a + 1, 2 * b + 1] += v1 * zb + v3 * rb + geometric
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def add_to_band(nodes, ke, factor, volume_gradient, band):
+    """Add an element's stiffness ke (8, 8), of which the lower half is read, and factor times the
+    square of the gradient of its volume (8,) to the lower band of the tangent."""
+    for i in range(8):
+        row = 2 * nodes[i // 2] + i % 2
+        for k in range(i + 1):
+            column = 2 * nodes[k // 2] + k % 2
+            value = ke[i, k] + factor * volume_gradient[i] * volume_gradient[k]
+            band[min(row, column), abs(row - column)] += value
+
+
 @njit(cache=True, fastmath=True)
 def assemble(x, elements, material, stiffness, force, band):
     """Add the internal force and, where `stiffness` is set, the lower band of the tangent.
@@ -124,7 +250,6 @@ def assemble(x, elements, material, stiffness, force, band):
     smallest = 1e300
     xr = np.empty(4)
     xz = np.empty(4)
-    # Spatial gradients of the shape functions (point, node): radial, axial, hoop.
     gr = np.empty((4, 4))
     gz = np.empty((4, 4))
     gt = np.empty((4, 4))
@@ -137,53 +262,22 @@ def assemble(x, elements, material, stiffness, force, band):
     ke = np.empty((8, 8))
     d = np.empty((4, 4))
     for e in range(cells.shape[0]):
-        for a in range(4):
-            xr[a] = x[cells[e, a], 0]
-            xz[a] = x[cells[e, a], 1]
+        take_places(x, cells[e], xr, xz)
         reference = 0.0
         volume = 0.0
         for p in range(4):
             f = deformation(xr, xz, gradient, radius, e, p)
             plane = f.rr * f.zz - f.rz * f.zr
-            j = plane * f.hoop
-            jac[p] = j
-            if j < smallest:
-                smallest = j
             if plane <= 0.0 or f.hoop <= 0.0:
                 return min(plane, f.hoop)
-            inverse = 1.0 / plane
-            for a in range(4):
-                g0 = gradient[e, p, a, 0]
-                g1 = gradient[e, p, a, 1]
-                gr[p, a] = (g0 * f.zz - g1 * f.zr) * inverse
-                gz[p, a] = (g1 * f.rr - g0 * f.rz) * inverse
-                gt[p, a] = SHAPE[p, a] / f.r
-            # b = J^(−2/3) F H Fᵀ, and the Kirchhoff stress without its volumetric part, dev b.
-            hrr = metric[e, p, 0]
-            hzz = metric[e, p, 1]
-            htt = metric[e, p, 2]
-            hrz = metric[e, p, 3]
+            j = plane * f.hoop
+            jac[p] = j
+            smallest = min(smallest, j)
+            _spatial_gradients(gradient[e, p], SHAPE[p], f, plane, gr[p], gz[p], gt[p])
             q = j ** (-2.0 / 3.0)
-            brr = q * (f.rr * f.rr * hrr + 2.0 * f.rr * f.rz * hrz + f.rz * f.rz * hzz)
-            bzz = q * (f.zr * f.zr * hrr + 2.0 * f.zr * f.zz * hrz + f.zz * f.zz * hzz)
-            btt = q * f.hoop * f.hoop * htt
-            brz = q * (f.rr * f.zr * hrr + (f.rr * f.zz + f.rz * f.zr) * hrz + f.rz * f.zz * hzz)
-            tr = brr + bzz + btt
-            trace[p] = tr
-            tau[p, 0] = brr - tr / 3.0
-            tau[p, 1] = bzz - tr / 3.0
-            tau[p, 2] = btt - tr / 3.0
-            tau[p, 3] = brz
+            trace[p] = _deviatoric_stress(f, q, metric[e, p], tau[p])
             if stiffening:
-                # dev(J^(−2/3) F Fᵀ): the change of tr C̄ with the strain is twice this.
-                srr = q * (f.rr * f.rr + f.rz * f.rz)
-                szz = q * (f.zr * f.zr + f.zz * f.zz)
-                stt = q * f.hoop * f.hoop
-                third = (srr + szz + stt) / 3.0
-                strain[p, 0] = srr - third
-                strain[p, 1] = szz - third
-                strain[p, 2] = stt - third
-                strain[p, 3] = q * (f.rr * f.zr + f.rz * f.zz)
+                _deviatoric_strain(f, q, strain[p])
             reference += weight[e, p]
             volume += weight[e, p] * j
         pressure = bulk[e] * (volume / reference - 1.0)
@@ -193,84 +287,20 @@ def assemble(x, elements, material, stiffness, force, band):
         for p in range(4):
             w = weight[e, p]
             jp = jac[p] * pressure
-            t0 = tau[p, 0]
-            t1 = tau[p, 1]
-            t2 = tau[p, 2]
-            t3 = tau[p, 3]
-            s0 = t0 + jp
-            s1 = t1 + jp
-            s2 = t2 + jp
-            for a in range(4):
-                fe[2 * a] += w * (gr[p, a] * s0 + gz[p, a] * t3 + gt[p, a] * s2)
-                fe[2 * a + 1] += w * (gr[p, a] * t3 + gz[p, a] * s1)
-                volume_gradient[2 * a] += w * jac[p] * (gr[p, a] + gt[p, a])
-                volume_gradient[2 * a + 1] += w * jac[p] * gz[p, a]
+            _add_force(w, jac[p], jp, tau[p], gr[p], gz[p], gt[p], fe, volume_gradient)
             if not stiffness:
                 continue
-            c = 2.0 / 3.0 * trace[p] - 2.0 * jp
-            m = jp - 2.0 / 9.0 * trace[p]
-            k = 2.0 / 3.0
-            d[0, 0] = w * (c + m - 2.0 * k * t0)
-            d[1, 1] = w * (c + m - 2.0 * k * t1)
-            d[2, 2] = w * (c + m - 2.0 * k * t2)
-            d[0, 1] = w * (m - k * (t0 + t1))
-            d[0, 2] = w * (m - k * (t0 + t2))
-            d[1, 2] = w * (m - k * (t1 + t2))
-            d[0, 3] = d[1, 3] = d[2, 3] = -w * k * t3
-            d[3, 3] = w * 0.5 * c
+            _moduli(w, jp, trace[p], tau[p], d)
             if stiffening:
                 factor = 2.0 * w * slope[e, p]
                 for i in range(4):
-                    for i2 in range(i, 4):
-                        d[i, i2] += factor * strain[p, i] * strain[p, i2]
-            w0 = w * s0
-            w1 = w * s1
-            w2 = w * s2
-            w3 = w * t3
-            for a in range(4):
-                ra = gr[p, a]
-                za = gz[p, a]
-                ta = gt[p, a]
-                # Rows of BᵀD for the radial and the axial displacement of node a.
-                u0 = ra * d[0, 0] + ta * d[0, 2] + za * d[0, 3]
-                u1 = ra * d[0, 1] + ta * d[1, 2] + za * d[1, 3]
-                u2 = ra * d[0, 2] + ta * d[2, 2] + za * d[2, 3]
-                u3 = ra * d[0, 3] + ta * d[2, 3] + za * d[3, 3]
-                v0 = za * d[0, 1] + ra * d[0, 3]
-                v1 = za * d[1, 1] + ra * d[1, 3]
-                v2 = za * d[1, 2] + ra * d[2, 3]
-                v3 = za * d[1, 3] + ra * d[3, 3]
-                for b in range(a + 1):
-                    rb = gr[p, b]
-                    zb = gz[p, b]
-                    tb = gt[p, b]
-                    geometric = ra * (w0 * rb + w3 * zb) + za * (w3 * rb + w1 * zb)
-                    ke[2 * a, 2 * b] += u0 * rb + u2 * tb + u3 * zb + geometric + ta * tb * w2
-                    ke[2 * a, 2 * b + 1] += u1 * zb + u3 * rb
-                    ke[2 * a + 1, 2 * b] += v0 * rb + v2 * tb + v3 * zb
-                    ke[2 * a + 1, 2 * b + 1] += v1 * zb + v3 * rb + geometric
-        for a in range(4):
-            force[2 * cells[e, a]] += fe[2 * a]
-            force[2 * cells[e, a] + 1] += fe[2 * a + 1]
-        if not stiffness:
-            continue
-        factor = bulk[e] / reference
-        for a in range(4):
-            for i in range(2):
-                row = 2 * cells[e, a] + i
-                for b in range(a + 1):
-                    for j2 in range(2):
-                        if b == a and j2 > i:
-                            continue
-                        column = 2 * cells[e, b] + j2
-                        value = (
-                            ke[2 * a + i, 2 * b + j2]
-                            + factor * volume_gradient[2 * a + i] * volume_gradient[2 * b + j2]
-                        )
-                        if row >= column:
-                            band[column, row - column] += value
-                        else:
-                            band[row, column - row] += value
+                    for k in range(i, 4):
+                        d[i, k] += factor * strain[p, i] * strain[p, k]
+            _add_stiffness(w, jp, tau[p], d, gr[p], gz[p], gt[p], ke)
+        for k in range(8):
+            force[2 * cells[e, k // 2] + k % 2] += fe[k]
+        if stiffness:
+            add_to_band(cells[e], ke, bulk[e] / reference, volume_gradient, band)
     return smallest
 
 
@@ -281,9 +311,7 @@ def strain_measures(x, elements, c_bar, c_bar_inverse, jacobian):
     xr = np.empty(4)
     xz = np.empty(4)
     for e in range(cells.shape[0]):
-        for a in range(4):
-            xr[a] = x[cells[e, a], 0]
-            xz[a] = x[cells[e, a], 1]
+        take_places(x, cells[e], xr, xz)
         for p in range(4):
             f = deformation(xr, xz, gradient, radius, e, p)
             plane = f.rr * f.zz - f.rz * f.zr
@@ -312,9 +340,7 @@ def first_invariant(x, elements):
     xr = np.empty(4)
     xz = np.empty(4)
     for e in range(cells.shape[0]):
-        for a in range(4):
-            xr[a] = x[cells[e, a], 0]
-            xz[a] = x[cells[e, a], 1]
+        take_places(x, cells[e], xr, xz)
         for p in range(4):
             f = deformation(xr, xz, gradient, radius, e, p)
             j = (f.rr * f.zz - f.rz * f.zr) * f.hoop

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..compiled import njit
-from .elements import SHAPE, deformation
+from .elements import SHAPE, add_to_band, deformation, take_places
 
 
 @njit(cache=True, inline="always")
@@ -50,9 +50,7 @@ def assemble(x, elements, material, finite, stiffness, force, band):
     d = np.empty((4, 8))
     volume_gradient = np.empty(8)
     for e in range(cells.shape[0]):
-        for a in range(4):
-            xr[a] = x[cells[e, a], 0]
-            xz[a] = x[cells[e, a], 1]
+        take_places(x, cells[e], xr, xz)
         reference = 0.0
         volume_strain = 0.0
         for p in range(4):
@@ -118,16 +116,10 @@ def assemble(x, elements, material, finite, stiffness, force, band):
                     around = w * s[p, 2] * SHAPE[p, a] * SHAPE[p, c] / radius[e, p] ** 2
                     ke[2 * a, 2 * c] += value + around
                     ke[2 * a + 1, 2 * c + 1] += value
-        factor = bulk[e] / reference
         for k in range(8):
-            row = 2 * cells[e, k // 2] + k % 2
-            force[row] += fe[k]
-            if not stiffness:
-                continue
-            for m in range(k + 1):
-                column = 2 * cells[e, m // 2] + m % 2
-                value = ke[k, m] + factor * volume_gradient[k] * volume_gradient[m]
-                band[min(row, column), abs(row - column)] += value
+            force[2 * cells[e, k // 2] + k % 2] += fe[k]
+        if stiffness:
+            add_to_band(cells[e], ke, bulk[e] / reference, volume_gradient, band)
     return smallest
 
 
@@ -142,9 +134,7 @@ def strain_measures(x, elements, finite, c_bar, c_bar_inverse, dilatation):
     xr = np.empty(4)
     xz = np.empty(4)
     for n in range(cells.shape[0]):
-        for a in range(4):
-            xr[a] = x[cells[n, a], 0]
-            xz[a] = x[cells[n, a], 1]
+        take_places(x, cells[n], xr, xz)
         for p in range(4):
             f = deformation(xr, xz, gradient, radius, n, p)
             if finite:

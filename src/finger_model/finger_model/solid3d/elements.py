@@ -76,6 +76,14 @@ def reference_bricks(nodes: np.ndarray, cells: np.ndarray) -> Bricks:
 
 
 @njit(cache=True, fastmath=True, inline="always")
+def _take_places(x, nodes, xe):
+    """Positions xe (8, 3) of the nodes (8,) of an element, of x (N, 3)."""
+    for a in range(NODES):
+        for i in range(3):
+            xe[a, i] = x[nodes[a], i]
+
+
+@njit(cache=True, fastmath=True, inline="always")
 def _deformation(xe, gradient, f):
     """F (3, 3) of an element with nodes at xe (8, 3); gradient (8, 3)."""
     for i in range(3):
@@ -102,6 +110,120 @@ def _cofactor(f, c):
     return f[0, 0] * c[0, 0] + f[0, 1] * c[0, 1] + f[0, 2] * c[0, 2]
 
 
+@njit(cache=True, fastmath=True, inline="always")
+def _spatial_gradients(gradient, c, j, g):
+    """Gradients g (8, 3) of the shape functions in the deformed shape; gradient (8, 3) in the
+    reference shape, c (3, 3): cofactors of F, j: J."""
+    inverse = 1.0 / j
+    for a in range(NODES):
+        g0 = gradient[a, 0]
+        g1 = gradient[a, 1]
+        g2 = gradient[a, 2]
+        for i in range(3):
+            g[a, i] = (c[i, 0] * g0 + c[i, 1] * g1 + c[i, 2] * g2) * inverse
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def _deviatoric(left, right, q, out):
+    """dev(q left rightᵀ) (6,) of matrices (3, 3) whose product is symmetric; returns the trace of
+    q left rightᵀ."""
+    xx = q * (left[0, 0] * right[0, 0] + left[0, 1] * right[0, 1] + left[0, 2] * right[0, 2])
+    yy = q * (left[1, 0] * right[1, 0] + left[1, 1] * right[1, 1] + left[1, 2] * right[1, 2])
+    zz = q * (left[2, 0] * right[2, 0] + left[2, 1] * right[2, 1] + left[2, 2] * right[2, 2])
+    trace = xx + yy + zz
+    out[0] = xx - trace / 3.0
+    out[1] = yy - trace / 3.0
+    out[2] = zz - trace / 3.0
+    out[3] = q * (left[0, 0] * right[1, 0] + left[0, 1] * right[1, 1] + left[0, 2] * right[1, 2])
+    out[4] = q * (left[1, 0] * right[2, 0] + left[1, 1] * right[2, 1] + left[1, 2] * right[2, 2])
+    out[5] = q * (left[0, 0] * right[2, 0] + left[0, 1] * right[2, 1] + left[0, 2] * right[2, 2])
+    return trace
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def _times_metric(f, h, fh):
+    """F H (3, 3) of F (3, 3) and H (6,)."""
+    for i in range(3):
+        fh[i, 0] = f[i, 0] * h[0] + f[i, 1] * h[3] + f[i, 2] * h[5]
+        fh[i, 1] = f[i, 0] * h[3] + f[i, 1] * h[1] + f[i, 2] * h[4]
+        fh[i, 2] = f[i, 0] * h[5] + f[i, 1] * h[4] + f[i, 2] * h[2]
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def _traction(w, jp, tau, g, stressed):
+    """Stress times the gradients g (8, 3) times the volume w: stressed (8, 3); jp: J times the
+    pressure, tau (6,): stress without its volumetric part."""
+    sxx = w * (tau[0] + jp)
+    syy = w * (tau[1] + jp)
+    szz = w * (tau[2] + jp)
+    sxy = w * tau[3]
+    syz = w * tau[4]
+    sxz = w * tau[5]
+    for a in range(NODES):
+        gx = g[a, 0]
+        gy = g[a, 1]
+        gz = g[a, 2]
+        stressed[a, 0] = sxx * gx + sxy * gy + sxz * gz
+        stressed[a, 1] = sxy * gx + syy * gy + syz * gz
+        stressed[a, 2] = sxz * gx + syz * gy + szz * gz
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def _moduli(w, jp, trace, tau, d):
+    """Spatial moduli d (6, 6) times the volume w; trace: tr b."""
+    k = 2.0 / 3.0
+    c = k * trace - 2.0 * jp
+    m = jp - 2.0 / 9.0 * trace
+    for i in range(3):
+        for n in range(3):
+            d[i, n] = w * (m - k * (tau[i] + tau[n]))
+            d[i, 3 + n] = d[3 + n, i] = -w * k * tau[3 + n]
+            d[3 + i, 3 + n] = 0.0
+        d[i, i] += w * c
+        d[3 + i, 3 + i] = 0.5 * w * c
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def _strain_rows(g, d, b, db):
+    """Rows b (6, 24) of B, strain over the displacements of the nodes, and db (6, 24) of D B; of b
+    only what is not zero is written."""
+    for a in range(NODES):
+        gx = g[a, 0]
+        gy = g[a, 1]
+        gz = g[a, 2]
+        u = 3 * a
+        b[0, u] = gx
+        b[1, u + 1] = gy
+        b[2, u + 2] = gz
+        b[3, u] = gy
+        b[3, u + 1] = gx
+        b[4, u + 1] = gz
+        b[4, u + 2] = gy
+        b[5, u] = gz
+        b[5, u + 2] = gx
+        for i in range(6):
+            db[i, u] = d[i, 0] * gx + d[i, 3] * gy + d[i, 5] * gz
+            db[i, u + 1] = d[i, 1] * gy + d[i, 3] * gx + d[i, 4] * gz
+            db[i, u + 2] = d[i, 2] * gz + d[i, 4] * gy + d[i, 5] * gx
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def _add_to_tangent(g, stressed, factor, volume_gradient, tangent):
+    """Add to the tangent (24, 24) of an element what the stress gives, and factor times the square
+    of the gradient of its volume (8, 3); g, stressed (points, 8, 3): as in `_traction`."""
+    for a in range(NODES):
+        for n in range(NODES):
+            geometric = 0.0
+            for p in range(POINTS):
+                for i in range(3):
+                    geometric += g[p, a, i] * stressed[p, n, i]
+            for i in range(3):
+                tangent[3 * a + i, 3 * n + i] += geometric
+                for k in range(3):
+                    product = volume_gradient[a, i] * volume_gradient[n, k]
+                    tangent[3 * a + i, 3 * n + k] += factor * product
+
+
 @njit(cache=True, fastmath=True)
 def assemble(x, bricks, material, stiffness, force, tangent):
     """Add the internal force and, where `stiffness` is set, fill the tangent of each element.
@@ -122,153 +244,54 @@ def assemble(x, bricks, material, stiffness, force, tangent):
     tau = np.empty((POINTS, 6))
     trace = np.empty(POINTS)
     strain = np.empty((POINTS, 6))
-    volume_gradient = np.empty(UNKNOWNS)
-    fe = np.empty((NODES, 3))
-    b_rows = np.zeros((6 * POINTS, UNKNOWNS))
-    db_rows = np.empty((6 * POINTS, UNKNOWNS))
     d = np.zeros((6, 6))
-    plain = np.empty((3 * POINTS, NODES))
-    stressed = np.empty((3 * POINTS, NODES))
+    stressed = np.empty((POINTS, NODES, 3))
+    b = np.zeros((6 * POINTS, UNKNOWNS))
+    db = np.empty((6 * POINTS, UNKNOWNS))
+    volume_gradient = np.empty((NODES, 3))
     for e in range(cells.shape[0]):
-        for a in range(NODES):
-            for i in range(3):
-                xe[a, i] = x[cells[e, a], i]
+        _take_places(x, cells[e], xe)
         reference = 0.0
         volume = 0.0
         for p in range(POINTS):
             _deformation(xe, gradient[e, p], f)
             j = _cofactor(f, c)
-            jac[p] = j
-            if j < smallest:
-                smallest = j
             if j <= 0.0:
                 return j
-            inverse = 1.0 / j
-            for a in range(NODES):
-                g0 = gradient[e, p, a, 0]
-                g1 = gradient[e, p, a, 1]
-                g2 = gradient[e, p, a, 2]
-                for i in range(3):
-                    g[p, a, i] = (c[i, 0] * g0 + c[i, 1] * g1 + c[i, 2] * g2) * inverse
-            h = metric[e, p]
-            for i in range(3):
-                fh[i, 0] = f[i, 0] * h[0] + f[i, 1] * h[3] + f[i, 2] * h[5]
-                fh[i, 1] = f[i, 0] * h[3] + f[i, 1] * h[1] + f[i, 2] * h[4]
-                fh[i, 2] = f[i, 0] * h[5] + f[i, 1] * h[4] + f[i, 2] * h[2]
+            jac[p] = j
+            smallest = min(smallest, j)
+            _spatial_gradients(gradient[e, p], c, j, g[p])
+            _times_metric(f, metric[e, p], fh)
             q = j ** (-2.0 / 3.0)
-            b0 = q * (fh[0, 0] * f[0, 0] + fh[0, 1] * f[0, 1] + fh[0, 2] * f[0, 2])
-            b1 = q * (fh[1, 0] * f[1, 0] + fh[1, 1] * f[1, 1] + fh[1, 2] * f[1, 2])
-            b2 = q * (fh[2, 0] * f[2, 0] + fh[2, 1] * f[2, 1] + fh[2, 2] * f[2, 2])
-            tr = b0 + b1 + b2
-            trace[p] = tr
-            tau[p, 0] = b0 - tr / 3.0
-            tau[p, 1] = b1 - tr / 3.0
-            tau[p, 2] = b2 - tr / 3.0
-            tau[p, 3] = q * (fh[0, 0] * f[1, 0] + fh[0, 1] * f[1, 1] + fh[0, 2] * f[1, 2])
-            tau[p, 4] = q * (fh[1, 0] * f[2, 0] + fh[1, 1] * f[2, 1] + fh[1, 2] * f[2, 2])
-            tau[p, 5] = q * (fh[0, 0] * f[2, 0] + fh[0, 1] * f[2, 1] + fh[0, 2] * f[2, 2])
+            trace[p] = _deviatoric(fh, f, q, tau[p])
             if stiffening:
-                # dev(J^(−2/3) F Fᵀ): the change of tr C̄ with the strain is twice this.
-                s0 = q * (f[0, 0] ** 2 + f[0, 1] ** 2 + f[0, 2] ** 2)
-                s1 = q * (f[1, 0] ** 2 + f[1, 1] ** 2 + f[1, 2] ** 2)
-                s2 = q * (f[2, 0] ** 2 + f[2, 1] ** 2 + f[2, 2] ** 2)
-                third = (s0 + s1 + s2) / 3.0
-                strain[p, 0] = s0 - third
-                strain[p, 1] = s1 - third
-                strain[p, 2] = s2 - third
-                strain[p, 3] = q * (f[0, 0] * f[1, 0] + f[0, 1] * f[1, 1] + f[0, 2] * f[1, 2])
-                strain[p, 4] = q * (f[1, 0] * f[2, 0] + f[1, 1] * f[2, 1] + f[1, 2] * f[2, 2])
-                strain[p, 5] = q * (f[0, 0] * f[2, 0] + f[0, 1] * f[2, 1] + f[0, 2] * f[2, 2])
+                # The change of tr C̄ with the strain is twice this.
+                _deviatoric(f, f, q, strain[p])
             reference += weight[e, p]
             volume += weight[e, p] * j
         pressure = bulk[e] * (volume / reference - 1.0)
-        fe[:, :] = 0.0
-        if stiffness:
-            volume_gradient[:] = 0.0
+        for p in range(POINTS):
+            _traction(weight[e, p], jac[p] * pressure, tau[p], g[p], stressed[p])
+            for a in range(NODES):
+                for i in range(3):
+                    force[cells[e, a], i] += stressed[p, a, i]
+        if not stiffness:
+            continue
+        volume_gradient[:, :] = 0.0
         for p in range(POINTS):
             w = weight[e, p]
-            jp = jac[p] * pressure
-            t = tau[p]
-            s0 = w * (t[0] + jp)
-            s1 = w * (t[1] + jp)
-            s2 = w * (t[2] + jp)
-            s3 = w * t[3]
-            s4 = w * t[4]
-            s5 = w * t[5]
-            for a in range(NODES):
-                x0 = g[p, a, 0]
-                x1 = g[p, a, 1]
-                x2 = g[p, a, 2]
-                y0 = s0 * x0 + s3 * x1 + s5 * x2
-                y1 = s3 * x0 + s1 * x1 + s4 * x2
-                y2 = s5 * x0 + s4 * x1 + s2 * x2
-                fe[a, 0] += y0
-                fe[a, 1] += y1
-                fe[a, 2] += y2
-                if stiffness:
-                    plain[3 * p, a] = x0
-                    plain[3 * p + 1, a] = x1
-                    plain[3 * p + 2, a] = x2
-                    stressed[3 * p, a] = y0
-                    stressed[3 * p + 1, a] = y1
-                    stressed[3 * p + 2, a] = y2
-            if not stiffness:
-                continue
-            k = 2.0 / 3.0
-            cc = k * trace[p] - 2.0 * jp
-            mm = jp - 2.0 / 9.0 * trace[p]
-            for i in range(3):
-                for n in range(3):
-                    d[i, n] = w * (mm - k * (t[i] + t[n]))
-                    d[i, 3 + n] = d[3 + n, i] = -w * k * t[3 + n]
-                    d[3 + i, 3 + n] = 0.0
-                d[i, i] += w * cc
-                d[3 + i, 3 + i] = 0.5 * w * cc
+            _moduli(w, jac[p] * pressure, trace[p], tau[p], d)
             if stiffening:
                 factor = 2.0 * w * slope[e, p]
                 for i in range(6):
                     for n in range(6):
                         d[i, n] += factor * strain[p, i] * strain[p, n]
-            wj = w * jac[p]
-            row = 6 * p
+            _strain_rows(g[p], d, b[6 * p : 6 * p + 6], db[6 * p : 6 * p + 6])
             for a in range(NODES):
-                x0 = g[p, a, 0]
-                x1 = g[p, a, 1]
-                x2 = g[p, a, 2]
-                u = 3 * a
-                b_rows[row, u] = x0
-                b_rows[row + 1, u + 1] = x1
-                b_rows[row + 2, u + 2] = x2
-                b_rows[row + 3, u] = x1
-                b_rows[row + 3, u + 1] = x0
-                b_rows[row + 4, u + 1] = x2
-                b_rows[row + 4, u + 2] = x1
-                b_rows[row + 5, u] = x2
-                b_rows[row + 5, u + 2] = x0
-                for i in range(6):
-                    db_rows[row + i, u] = d[i, 0] * x0 + d[i, 3] * x1 + d[i, 5] * x2
-                    db_rows[row + i, u + 1] = d[i, 1] * x1 + d[i, 3] * x0 + d[i, 4] * x2
-                    db_rows[row + i, u + 2] = d[i, 2] * x2 + d[i, 4] * x1 + d[i, 5] * x0
-                volume_gradient[u] += wj * x0
-                volume_gradient[u + 1] += wj * x1
-                volume_gradient[u + 2] += wj * x2
-        for a in range(NODES):
-            for i in range(3):
-                force[cells[e, a], i] += fe[a, i]
-        if not stiffness:
-            continue
-        ke = np.dot(b_rows.T, db_rows)
-        geometric = np.dot(plain.T, stressed)
-        factor = bulk[e] / reference
-        for i in range(UNKNOWNS):
-            for n in range(UNKNOWNS):
-                ke[i, n] += factor * volume_gradient[i] * volume_gradient[n]
-        for a in range(NODES):
-            for n in range(NODES):
-                value = geometric[a, n]
                 for i in range(3):
-                    ke[3 * a + i, 3 * n + i] += value
-        tangent[e] = ke
+                    volume_gradient[a, i] += w * jac[p] * g[p, a, i]
+        np.dot(b.T, db, tangent[e])
+        _add_to_tangent(g, stressed, bulk[e] / reference, volume_gradient, tangent[e])
     return smallest
 
 
@@ -280,9 +303,7 @@ def strain_measures(x, bricks, c_bar, c_bar_inverse, jacobian):
     f = np.empty((3, 3))
     c = np.empty((3, 3))
     for e in range(cells.shape[0]):
-        for a in range(NODES):
-            for i in range(3):
-                xe[a, i] = x[cells[e, a], i]
+        _take_places(x, cells[e], xe)
         for p in range(POINTS):
             _deformation(xe, gradient[e, p], f)
             j = _cofactor(f, c)
@@ -313,9 +334,7 @@ def first_invariant(x, bricks):
     f = np.empty((3, 3))
     c = np.empty((3, 3))
     for e in range(cells.shape[0]):
-        for a in range(NODES):
-            for i in range(3):
-                xe[a, i] = x[cells[e, a], i]
+        _take_places(x, cells[e], xe)
         for p in range(POINTS):
             _deformation(xe, gradient[e, p], f)
             j = _cofactor(f, c)
