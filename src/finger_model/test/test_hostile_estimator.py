@@ -404,7 +404,7 @@ def test_a_finger_beyond_the_population_is_named_before_the_model_has_adapted(
 
 
 def test_all_outputs_follow_the_fused_area(model: ReducedModel) -> None:
-    estimator = ContactEstimator(model)
+    estimator = ContactEstimator(model, settings=EstimatorSettings(force_zero_sd=0.0))
     expected = feed(ContactEstimator(model), 0.0, 4.0, press)
     for e in expected[:: 100 // PERIOD]:
         if e.area > 0:
@@ -415,7 +415,7 @@ def test_all_outputs_follow_the_fused_area(model: ReducedModel) -> None:
         assert e.mean_pressure == pytest.approx(e.normal_force / e.area)
         assert e.peak_pressure > e.mean_pressure
         relative = e.area_stddev / e.area
-        assert e.mean_pressure_stddev / e.mean_pressure == pytest.approx(relative)
+        assert e.mean_pressure_stddev / e.mean_pressure == pytest.approx(relative, rel=0.5)
         assert e.peak_pressure_stddev / e.peak_pressure > relative
         assert 0.3 * relative < e.radius_stddev / e.radius < 0.6 * relative
         # Half of the factor 1.5 is taken for one of the depth, and that half is uncertain.
@@ -425,6 +425,34 @@ def test_all_outputs_follow_the_fused_area(model: ReducedModel) -> None:
     assert after.indentation_stddev / after.indentation < (
         before.indentation_stddev / before.indentation
     )
+
+
+@pytest.mark.parametrize("seen", [False, True], ids=["force alone", "camera"])
+@pytest.mark.parametrize("offset", [0.02, -0.02])
+def test_deviations_hold_where_the_zero_is_off_by_its_own(
+    model: ReducedModel, offset: float, seen: bool
+) -> None:
+    """For the model's own finger: what is wrong is the force alone."""
+    true = {e.stamp_ns: e for e in feed(ContactEstimator(model), 0.0, 12.0, press)}
+    off = {}
+    for sd in (0.0, abs(offset)):
+        estimator = ContactEstimator(model, settings=EstimatorSettings(force_zero_sd=sd))
+        for e in list(true.values())[:: 100 // PERIOD] if seen else []:
+            if e.area > 3e-6:
+                estimator.add_area(e.stamp_ns, e.area, 5e-7)
+        found = feed(estimator, 0.0, 12.0, lambda t: press(t) + offset)
+        for low, high in ((0.06, 0.15), (0.15, 0.5), (0.5, 2.0)):
+            inside = (e for e in found if e.in_contact and low < e.normal_force - offset < high)
+            part = [(e, true[e.stamp_ns]) for e in inside]
+            for name in ("area", "mean_pressure"):
+                error = [getattr(e, name) - getattr(t, name) for e, t in part]
+                stated = [getattr(e, f"{name}_stddev") for e, _ in part]
+                off[sd, low, name] = float(np.sqrt(np.mean(np.square(error) / np.square(stated))))
+    assert all(ratio < 1.3 for (sd, *_), ratio in off.items() if sd)
+    if seen:
+        # The camera knows the area, so the pressure is as wrong as the force.
+        assert all(off[0.0, low, "mean_pressure"] > 1.5 for low in (0.06, 0.15, 0.5))
+        assert all(off[0.02, low, "mean_pressure"] > 0.4 for low in (0.06, 0.15, 0.5))
 
 
 def test_a_wrong_zero_is_not_forgotten_when_the_camera_sees_the_finger(
@@ -799,7 +827,9 @@ def noisy_hold(model: ReducedModel, noise: np.ndarray, digit: float, times: int)
     if digit:
         force = digit * np.round(force / digit)
     force = np.repeat(force[::times], times)[: len(time)]
-    known = EstimatorSettings(prior_area_sd=1e-3, contact_area_sd=1e-3, slope_sd=1e-3)
+    known = EstimatorSettings(
+        prior_area_sd=1e-3, contact_area_sd=1e-3, slope_sd=1e-3, force_zero_sd=0.0
+    )
     estimator = ContactEstimator(model, ParameterSets(ParameterSets.default().sets), known)
     stamps = T0 + np.round(time * 1e9).astype(np.int64)
     rows = estimator.add_wrenches(stamps, np.column_stack([0 * force, 0 * force, -force]))

@@ -54,6 +54,7 @@ class FilterState:
         ):
             config[name] = getattr(settings, name)
         config["fusion_delay"] = nanoseconds(settings.fusion_delay)
+        config["zero_variance"] = settings.force_zero_sd**2
         self._pose = settings.pose
         noise = config["noise"]
         noise["gain_variance"] = settings.area_gain_sd**2

@@ -49,6 +49,15 @@ class EstimatorSettings(Settings):
         minimum=0.0,
         maximum=1.0,
     )
+    force_zero_sd: float = _runtime(
+        0.01,
+        "Standard deviation of the zero of the normal force. It widens the deviations of area and "
+        "pressures, most at low forces.",
+        unit="N",
+        minimum=0.0,
+        maximum=1.0,
+        advice="Raise it for a sensor that drifts between two tares.",
+    )
     lateral_ratio: float = _runtime(
         0.25,
         "Lateral over normal force above which a sample is flagged; the friction coefficient of "

@@ -65,6 +65,7 @@ CONFIGURATION = np.dtype(
         ("lateral_ratio", "f8"),
         ("gap_limit", "f8"),  # s
         ("fusion_delay", "i8"),  # ns
+        ("zero_variance", "f8"),  # N², of the zero of the normal force
         ("area_stale_after", "f8"),  # s
         ("moisture_stale_after", "f8"),  # s
         ("moisture", "f8"),  # a.u., NaN before the first reading
@@ -471,6 +472,23 @@ def _advance_model(model, config, state, stamp, normal_force):
 
 
 @njit(cache=True)
+def _force_variances(config, state, normal_force, exponent):
+    """Variances of ln A and of ln(F/A) by noise and zero of the force; exponent: d ln A / d ln F.
+
+    A force that is wrong by dF moves the model's area by exponent · dF/F, and F/A by the rest. A
+    wrong zero is in the force of the newest area of this contact too, which took its part out of
+    the area.
+    """
+    share = exponent
+    if state.contact.seen_force > 0.0:
+        share *= 1.0 - normal_force / state.contact.seen_force
+    square = max(normal_force, area_filter.LEAST_FORCE) ** 2
+    noise, zero = state.stream.noise_variance / square, config.zero_variance / square
+    of_area = noise * exponent * exponent + zero * share * share
+    return of_area, noise * (1.0 - exponent) ** 2 + zero * (1.0 - share) ** 2
+
+
+@njit(cache=True)
 def _write_contact(config, state, finger, normal_force, limit, stamp, row):
     """Fields of the contact at a sample that the model followed, to its `limit` of force (N)."""
     row.indentation = finger.indentation
@@ -490,14 +508,16 @@ def _write_contact(config, state, finger, normal_force, limit, stamp, row):
     row.model_area = finger.area * own_gain
     row.area = area
     row.area_force_slope = finger.area_force_slope * own_gain * (1.0 + slope) * math.exp(error)
-    variance += state.stream.noise_variance * (row.area_force_slope / area) ** 2
-    deviation = area_filter.deviation_of(variance)
-    row.area_stddev = area * deviation
+    of_area, of_pressure = _force_variances(
+        config, state, normal_force, row.area_force_slope * normal_force / area
+    )
+    row.area_stddev = area * area_filter.deviation_of(variance + of_area)
     row.radius = math.sqrt(area / math.pi)
-    row.radius_stddev = row.radius * area_filter.deviation_of(0.25 * variance)
+    row.radius_stddev = row.radius * area_filter.deviation_of(0.25 * (variance + of_area))
     pressure = normal_force / area
+    variance += of_pressure
     row.mean_pressure = pressure
-    row.mean_pressure_stddev = pressure * deviation
+    row.mean_pressure_stddev = pressure * area_filter.deviation_of(variance)
     peak_mean, peak_sd = _peak_of(config, normal_force)
     row.peak_pressure = finger.peak_pressure * math.exp(peak_mean - error) / own_gain
     if normal_force > limit:
