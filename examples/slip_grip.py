@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import math
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -130,6 +131,7 @@ def hold(
     zero: float = 0.0,
     grip_follows_load: bool = False,
     delay: float = 0.0,
+    sensor: Callable[[float, np.ndarray], np.ndarray] | None = None,
 ) -> Outcome:
     """Two fingers take an object of 50 g, which is filled to 350 g between 2 and 8 s.
 
@@ -137,7 +139,8 @@ def hold(
     on the object, which the controller does not know. zero: what the sensor gives along the load in
     the air (N). grip_follows_load: the estimator's setting. The gripper is open for 0.7 s and
     closes 0.3 s before the controller begins. It follows its command within 30 ms, after a dead
-    time of delay (s). The force has 5 mN of noise. A slide of 20 mm is a drop.
+    time of delay (s). The force has 5 mN of noise; sensor: what it gives of a force
+    (3,) in N at a time (s). A slide of 20 mm is a drop.
     """
     from finger_model.estimator import ContactEstimator
     from finger_model.finger import load_reduced
@@ -166,7 +169,9 @@ def hold(
         if slid > 0.02:
             return Outcome(True, slid, math.nan)
         noise = rng.normal(0.0, 0.005, 3)
-        wrench = (carried + zero + noise[0], noise[1], -(force + noise[2]))
+        wrench = np.array([carried + zero + noise[0], noise[1], -(force + noise[2])])
+        if sensor is not None:
+            wrench = sensor(time, wrench)
         for estimate in contact.add_wrench(i * 2_000_000, wrench):
             found = slip.add(estimate, wrench)
             if controller is not None and time > 0.0:

@@ -60,6 +60,32 @@ def test_the_zero_of_the_lateral_force_does_not_take_the_margin(example: Any, ze
     assert 1.2 < found.force_ratio < 1.6
 
 
+@pytest.mark.parametrize(
+    ("friction", "axis", "value", "length"),
+    [
+        (0.25, 2, 1.0, 0.002),  # P of -1 N
+        (0.5, 2, 1.0, 0.002),
+        (0.35, 2, 1.0, 0.03),
+        (0.7, 2, 1.0, 0.03),
+        (0.25, 2, -5.0, 0.002),
+        (0.25, 0, 1.0, 0.002),
+        (0.5, slice(None), 0.0, 0.04),
+    ],
+)
+def test_wrong_samples_that_come_again_every_half_second_drop_nothing(
+    example: Any, friction: float, axis: int | slice, value: float, length: float
+) -> None:
+    def sensor(time: float, force: np.ndarray) -> np.ndarray:
+        if time > 1.2 and (time + 0.3001) % 0.5 < length:
+            force[axis] = value
+        return force
+
+    found = example.hold(example.SlipGrip(force=2.0), friction, sensor=sensor)
+    assert not found.dropped
+    assert found.slid < 0.01
+    assert 1.05 < found.force_ratio < 2.5
+
+
 @pytest.mark.parametrize("margin", [1.0, -0.1, 20.0, float("nan")])
 def test_a_margin_that_no_friction_gives_is_refused(example: Any, margin: float) -> None:
     with pytest.raises(ValueError, match=r"margin is .* from 0 to below 1"):

@@ -1255,3 +1255,78 @@ def test_what_is_pressed_obliquely_moves_as_in_three_dimensions():
     up, down = found.tangential_displacement[[1, 3, 5, 7]], found.tangential_displacement[9::2]
     np.testing.assert_allclose(up * 1e3, [0.1367, 0.2464, 0.3500, 0.4500], rtol=0.09)
     np.testing.assert_allclose(down * 1e3, [0.3622, 0.2701, 0.1732, 0.0673], rtol=0.16)
+
+
+def spoiled(normal, lateral, size, samples, q_size=0.0, value=None):
+    """P and Q with wrong samples every half a second: `samples` in a row are `size` N larger, or
+    have this value, Q is q_size N larger."""
+    wrong = np.arange(len(normal)) % 250 >= 250 - samples
+    other = normal + size if value is None else value
+    return np.where(wrong, other, normal), lateral + q_size * wrong
+
+
+SPIKES = [
+    {"size": 0.0, "value": -1.0, "samples": 1},
+    {"size": 0.0, "value": -1.0, "samples": 15},
+    {"size": 0.0, "value": 0.0, "samples": 20},
+    {"size": 2.0, "samples": 1},
+    {"size": 2.0, "samples": 15},
+    {"size": -0.6, "samples": 1},
+    {"size": -0.6, "samples": 15},
+    {"size": 0.0, "samples": 1, "q_size": 1.0},
+    {"size": 0.0, "samples": 15, "q_size": 0.5},
+    {"size": 0.0, "samples": 1, "value": math.nan},
+]
+
+
+@pytest.mark.parametrize("spike", SPIKES, ids=str)
+def test_wrong_samples_in_a_contact_teach_nothing_and_hide_no_slip(spike):
+    _, normal, lateral, slides = slipping(4, 0.5)
+    forces = noisy(normal, lateral)
+    settings = SlipSettings(tangential_noise=0.005)
+    clean = run(SlipEstimator(settings), *forces)
+    inside = normal > 0.9
+    wrong = np.where(inside, spoiled(*forces, **spike), forces)
+    rows = run(SlipEstimator(settings), *wrong)
+    assert rows["slips"][-1] == clean["slips"][-1] == 4
+    assert rows["friction"][-1] == pytest.approx(0.5, rel=0.03)
+    assert rows["friction_stddev"][-1] == pytest.approx(clean["friction_stddev"][-1], rel=0.2)
+    for begin in range(0, len(slides), 2000):
+        one = slice(begin, begin + 2000)
+        assert np.nanmax(rows["slip_probability"][one][slides[one]]) > 0.9
+
+
+@pytest.mark.parametrize("size", [2.0, -2.0])
+def test_wrong_samples_in_the_air_leave_friction_and_zero(size):
+    time, normal, lateral, _ = slipping(3, 0.5)
+    air = np.zeros(5000)
+    forces = noisy(np.concatenate([normal, air]), np.concatenate([lateral, air]))
+    forces = np.stack(forces) + np.array([[0.0], [0.1]])
+    settings = SlipSettings(tangential_noise=0.005)
+    clean = run(SlipEstimator(settings), *forces)
+    once = np.arange(5000) % 100 == 50
+    forces[:, len(time) :] += size * once
+    estimator = SlipEstimator(settings)
+    rows = run(estimator, *forces)
+    for name in ("friction", "friction_stddev", "slips"):
+        assert rows[name][-1] == pytest.approx(clean[name][-1], rel=1e-3)
+    held = np.concatenate([np.full(200, 0.0), np.interp(np.arange(800), [0, 150], [0.0, 1.0])])
+    pulled = np.interp(np.arange(1000), [400, 600], [0.0, 0.25])
+    last = run(estimator, held, pulled + 0.1, int(1e9 * len(forces[0]) / RATE))[-1]
+    assert last["slip_margin"] == pytest.approx(0.5, abs=0.03)
+
+
+@pytest.mark.parametrize(("normal_after", "lateral_after"), [(0.3, 0.25), (1.0, 0.6), (0.0, 0.0)])
+def test_a_real_jump_is_told_within_three_samples(normal_after, lateral_after):
+    """Of 0.25 N held at 1 N, with a friction of 0.5 that is known."""
+    _, normal, lateral, _ = slipping(3, 0.5)
+    held = np.interp(np.arange(2000), [250, 400], [0.0, 1.0])
+    pulled = np.interp(np.arange(2000), [500, 700], [0.0, 0.25])
+    held[1000:], pulled[1000:] = normal_after, lateral_after
+    forces = noisy(np.concatenate([normal, held]), np.concatenate([lateral, pulled]))
+    rows = run(SlipEstimator(SlipSettings(tangential_noise=0.005)), *forces)[len(normal) + 1000 :]
+    if normal_after == 0.0:
+        assert (rows["flags"] & SlipFlag.NO_CONTACT).all()
+    else:
+        assert rows["slip_probability"][2] > 0.15
+        assert rows["slip_probability"][3:20].min() > 0.9

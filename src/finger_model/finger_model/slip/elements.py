@@ -90,6 +90,18 @@ def release(elements):
 
 
 @njit(cache=True)
+def copy(elements, to):
+    """Copy one record to another."""
+    to.force[:, :] = elements.force
+    to.moved[:] = elements.moved
+    to.pull[:] = elements.pull
+    to.reached, to.with_load[:] = elements.reached, elements.with_load
+    to.placed[:], to.placed_by[:] = elements.placed, elements.placed_by
+    to.placed_at = elements.placed_at
+    to.displaced[:], to.crept[:, :] = elements.displaced, elements.crept
+
+
+@njit(cache=True)
 def begin(elements, normal, q0, q1):
     """A contact that is first seen at these forces: how they came is not known."""
     release(elements)

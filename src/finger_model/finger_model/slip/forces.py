@@ -76,10 +76,17 @@ def begin(forces, noise, stamp, normal, q0, q1):
 
 
 @njit(cache=True)
-def _track(track, tau, dt, values):
+def copy(track, to):
+    """Copy one record to another."""
+    to.value[:] = track.value
+    to.rate[:] = track.rate
+
+
+@njit(cache=True)
+def _track(track, part, tau, dt, values):
     """Critically damped filter of value and rate (fading memory of degree 1)."""
     beta = math.exp(-dt / tau)
-    for i in range(3):
+    for i in range(part[0], part[1]):
         ahead = track.value[i] + track.rate[i] * dt
         miss = values[i] - ahead
         track.value[i] = ahead + (1.0 - beta * beta) * miss
@@ -98,7 +105,7 @@ def _roughness(forces, q0, q1):
 
 
 @njit(cache=True)
-def _see_noise(forces, noise, dt, q0, q1):
+def see_noise(forces, noise, dt, q0, q1):
     """Noise of Q, that of the settings or more where its samples show more, and that of `fast`."""
     rough = _roughness(forces, q0, q1)
     if dt <= LONGEST_STEP:
@@ -132,11 +139,19 @@ def forget_air(forces):
 
 
 @njit(cache=True)
+def _middle(a, b, c):
+    """Median of three: one of them may be wrong."""
+    return max(min(a, b), min(max(a, b), c))
+
+
+@njit(cache=True)
 def see_air(forces, noise, stamp, dt, q0, q1):
     """A sample in the air, dt (s) after the one before."""
     air = forces.air
     if not 0.0 < dt < 2.0 * BLOCK:
         leave(forces, stamp)
+    s0 = _middle(q0, forces.last[0, 0], forces.last[1, 0])
+    s1 = _middle(q1, forces.last[0, 1], forces.last[1, 1])
     rough = _roughness(forces, q0, q1)
     if stamp < air.begin:
         return
@@ -144,8 +159,8 @@ def see_air(forces, noise, stamp, dt, q0, q1):
     share = max(1.0 / air.rough_samples, min(dt / NOISE_MEMORY, 0.1))
     rough = force_noise.no_knock(rough, air.rough_variance, noise * noise)
     air.rough_variance += share * (rough - air.rough_variance)
-    air.sum[0] += q0
-    air.sum[1] += q1
+    air.sum[0] += s0
+    air.sum[1] += s1
     air.samples += 1.0
     if (stamp - air.begin) * 1e-9 < BLOCK:
         return
@@ -182,12 +197,10 @@ def noise_known(forces):
 
 
 @njit(cache=True)
-def add(forces, noise, dt, normal, q0, q1):
-    """A sample, dt (s) after the one before."""
-    _see_noise(forces, noise, dt, q0, q1)
-    values = (normal, q0, q1)
-    _track(forces.fast, FAST, dt, values)
-    _track(forces.slow, SLOW, dt, values)
+def follow(forces, part, dt, values):
+    """Take these of the values (3,) of P, Qx, Qy (N), dt (s) after those before."""
+    _track(forces.fast, part, FAST, dt, values)
+    _track(forces.slow, part, SLOW, dt, values)
 
 
 @njit(cache=True)

@@ -173,6 +173,7 @@ def _copy(source, target):
 def begin_contact(friction):
     """Save the belief. It is restored if this contact turns out not to be a finger."""
     _copy(friction.belief, friction.before)
+    friction.contact_time = friction.drifted = 0.0
 
 
 @njit(cache=True)
@@ -381,7 +382,6 @@ def end_contact(friction, prior, drift):
     friction.directional.valid = False
     # Widen by a Gaussian of the drift.
     left = max(0.0, 1.0 - friction.drifted / DRIFT_TIME)
-    friction.contact_time = friction.drifted = 0.0
     _predict_tilt(belief, left * drift * drift)
     width = math.sqrt(left) * drift / (LOG_FRICTION[1] - LOG_FRICTION[0])
     reach = int(3.0 * width) + 1

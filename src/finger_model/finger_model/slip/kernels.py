@@ -3,9 +3,9 @@
 
 """Compiled core of the slip estimator: many samples in one call.
 
-Filtered `forces` tell a ratio r = |Q|/P, `forecasts` whether it stands still. Then it is a
-`plateau`, and `windows` tell slip from holding. `friction` learns from plateaus, from the largest
-ratio held and from a camera; `elements` give the stick ratio at its mean.
+Filtered `forces`, without `spikes`, tell a ratio r = |Q|/P, `forecasts` whether it stands still.
+Then it is a `plateau`, and `windows` tell slip from holding. `friction` learns from plateaus, from
+the largest ratio held and from a camera; `elements` give the stick ratio at its mean.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from .. import force_noise
 from ..compiled import njit
 from ..delayed import REMEMBERED
 from ..sensor_air import SILENCE
-from . import elements, forces, forecasts, friction, plateau
+from . import elements, forces, forecasts, friction, plateau, spikes
 
 NO_CONTACT = int(SlipFlag.NO_CONTACT)
 SLIPPING = int(SlipFlag.SLIPPING)
@@ -89,7 +89,9 @@ STATE = np.dtype(
         ("touching", "?"),
         ("doubted", "?"),  # the newest force of this contact is hardly a finger's
         ("stamp", "i8"),  # ns
+        ("touched", "i8"),  # ns, newest sample in contact
         ("measured", force_noise.MEASURED),
+        ("spikes", spikes.SPIKES),
         ("forces", forces.FORCES),
         ("forecasts", forecasts.FORECASTS),
         ("plateau", plateau.PLATEAU),
@@ -107,6 +109,7 @@ def _begin_contact(config, state, stamp, normal, q0, q1):
     state.touching = True
     friction.begin_contact(state.friction)
     forces.begin(state.forces, config.noise, stamp, normal, q0, q1)
+    spikes.begin(state.spikes, stamp)
     forecasts.begin(state.forecasts)
     elements.begin(state.elements, normal, q0, q1)
     plateau.begin_contact(state.plateau)
@@ -127,21 +130,24 @@ def _use_plateau(state):
 
 
 @njit(cache=True)
-def _end_contact(config, state, stamp):
+def _end_contact(config, state):
     """What was learned from a force that was hardly a finger's is forgotten."""
-    if state.doubted:
+    brief = state.friction.contact_time < spikes.LONGEST
+    if state.doubted or brief:
         friction.forget_contact(state.friction)
-    elif plateau.lasts(state.plateau, stamp):
+    elif plateau.lasts(state.plateau, state.touched):
         _use_plateau(state)
     state.plateau.present = False
-    friction.end_contact(state.friction, config.prior, config.drift)
+    if not brief:
+        friction.end_contact(state.friction, config.prior, config.drift)
+    forces.leave(state.forces, state.touched)
     elements.release(state.elements)
     state.touching = False
 
 
 @njit(cache=True)
 def _judge_ratio(config, state, stamp):
-    """What the present ratio r, which is returned, tells of friction and of the pull."""
+    """What the present ratio r tells of friction and of the pull."""
     tracked, pull = state.forces, state.pull
     ratio, slow = forces.ratio_of(tracked.fast), forces.ratio_of(tracked.slow)
     load = tracked.fast.value[0]
@@ -159,7 +165,6 @@ def _judge_ratio(config, state, stamp):
         pull.frames, pull.frames_ratio = 0, 0.0
     if plateau.judge(state.plateau, state.forecasts, tracked, config.coupled, stamp):
         _use_plateau(state)
-    return ratio
 
 
 @njit(cache=True)
@@ -220,15 +225,16 @@ def _pull_of(state, sample):
 
 @njit(cache=True)
 def _track_contact(config, state, sample, dt, step, anew):
-    """Begin, continue or end the contact; the time (s) by which it has become older.
+    """Begin, continue or end the contact; the time (s) by which it has become older, and whether
+    the sample tells something.
 
     dt, step: s since the newest sample, and since the newest one that was measured anew; anew:
     whether this one was.
     """
-    tracked, older = state.forces, 0.0
+    tracked, older, tells = state.forces, 0.0, anew
     if dt > SILENCE:
         if state.touching:
-            _end_contact(config, state, state.stamp)
+            _end_contact(config, state)
         forces.forget_air(tracked)
     if sample.touching:
         if not state.touching:
@@ -238,23 +244,23 @@ def _track_contact(config, state, sample, dt, step, anew):
         elif dt > 0.0:
             if anew and step > 0.0:
                 q0, q1 = _pull_of(state, sample)
-                forces.add(tracked, config.noise, step, sample.normal, q0, q1)
+                tells = spikes.take(state, config.noise, sample.stamp, step, sample.normal, q0, q1)
             friction.predict(state.friction, config.drift, dt)
             older = dt
         state.doubted = sample.doubted
-    elif state.touching:
-        _end_contact(config, state, sample.stamp)
-        forces.leave(tracked, sample.stamp)
-    elif anew:
+        state.touched = sample.stamp
+    elif state.touching and (sample.stamp - state.touched) * 1e-9 >= spikes.LONGEST:
+        _end_contact(config, state)
+    if not state.touching and anew:
         q0, q1 = sample.lateral[0], sample.lateral[1]
         forces.see_air(tracked, config.noise, sample.stamp, step, q0, q1)
     state.stamp = sample.stamp
-    return older
+    return older, tells
 
 
 @njit(cache=True)
-def _judge_pull(config, state, sample, anew):
-    """Learn from the present ratio and remember it; the PullNow. anew: as of `_track_contact`."""
+def _judge_pull(config, state, sample, tells):
+    """Learn from the present ratio, where it tells something, and remember it; the PullNow."""
     tracked, now = state.forces, state.forces.fast.value
     judged = sample.touching and sample.normal >= SMALLEST_FORCE and now[0] >= SMALLEST_FORCE
     ratio, beyond, with_load = 0.0, math.nan, 0.0
@@ -262,14 +268,17 @@ def _judge_pull(config, state, sample, anew):
         u0, u1 = forces.direction(tracked.fast)
         clear = forces.tangential(tracked.fast) > CLEAR_PULL * tracked.filtered_noise
         friction.set_direction(state.friction, u0, u1, clear)
-        ratio = _judge_ratio(config, state, sample.stamp) if anew else forces.ratio_of(tracked.fast)
+        ratio = forces.ratio_of(tracked.fast)
+        if tells:
+            _judge_ratio(config, state, sample.stamp)
         smooth = tracked.slow.value
         margin = max(DIP * now[0], DIP_NOISE * tracked.filtered_noise)
         mean = state.friction.limit  # of the sample before
         if elements.press(state.elements, mean, smooth[0], margin, smooth[1], smooth[2]):
             state.pull.turned = True
         beyond, with_load = elements.shares(state.elements, now[0], now[1], now[2])
-    _remember(state.memory, sample.stamp, math.nan if state.pull.turned else beyond, with_load)
+    unknown = state.pull.turned or state.spikes.followed
+    _remember(state.memory, sample.stamp, math.nan if unknown else beyond, with_load)
     stands = plateau.lasts(state.plateau, sample.stamp)
     ahead, spread = 0.0, 1.0
     if judged:
@@ -326,9 +335,9 @@ def process_sample(config, state, sample, out):
         friction.set_prior(config.prior, state.friction, moisture)
     dt, step = (stamp - state.stamp) * 1e-9, (stamp - state.measured.stamp) * 1e-9
     anew = force_noise.measured_anew(state.measured, stamp, normal, q0, q1)
-    dt = _track_contact(config, state, sample, dt, step, anew)
+    dt, tells = _track_contact(config, state, sample, dt, step, anew)
     _write_slips(state, out)
-    now = _judge_pull(config, state, sample, anew)
+    now = _judge_pull(config, state, sample, tells)
     friction.refresh_directional(state.friction)
     slipping = friction.evaluate(state.friction, config.drift, state.plateau, now, out)
     if now.judged:
@@ -336,7 +345,7 @@ def process_sample(config, state, sample, out):
         return
     _write_nothing(out, 0.0)
     out.flags |= NO_CONTACT
-    if sample.touching:
+    if sample.touching and tells:
         q0, q1 = _pull_of(state, sample)
         elements.begin(state.elements, normal, q0, q1)
 
