@@ -131,7 +131,7 @@ def hold(
     zero: float = 0.0,
     grip_follows_load: bool = False,
     delay: float = 0.0,
-    sensor: Callable[[float, np.ndarray], np.ndarray] | None = None,
+    sensor: Callable[[float, list[float]], list[float]] | None = None,
 ) -> Outcome:
     """Two fingers take an object of 50 g, which is filled to 350 g between 2 and 8 s.
 
@@ -169,7 +169,7 @@ def hold(
         if slid > 0.02:
             return Outcome(True, slid, math.nan)
         noise = rng.normal(0.0, 0.005, 3)
-        wrench = np.array([carried + zero + noise[0], noise[1], -(force + noise[2])])
+        wrench = [carried + zero + noise[0], noise[1], -(force + noise[2])]
         if sensor is not None:
             wrench = sensor(time, wrench)
         for estimate in contact.add_wrench(i * 2_000_000, wrench):
