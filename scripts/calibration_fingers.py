@@ -9,6 +9,12 @@ Fingers and the ten presses are drawn as in `population_fingers.py`; each has a 
 The camera sees the guided presses and is off in those after. Each finger is calibrated twice: with
 the default lengths, and with its width and depth by calipers, with their error. --width: all
 fingers are scaled to this width. --presses: so many guided presses, over again if need be.
+
+With --tissue: how well the deviations of stiffness, creep time and creep hold for these fingers,
+which stiffen and have several branches, and what STRUCTURE_SD of `finger_model.calibration` is to
+be for that (--seed 77 --fingers 100 for the shipped values). The truth is the finger's long-term
+modulus, creep (the modulus that relaxes over the long-term one), and mean creep time: under a
+constant stress the mean of the time, weighted by the rate of creep.
 """
 
 from __future__ import annotations
@@ -25,10 +31,11 @@ from population_fingers import FRAME, KINDS, START, force_of, rms
 from finger_common.guided_presses import CALIBRATION_PRESSES, GuidedPress
 from finger_common.usable_press import TYPICAL_AREA_NOISE
 from finger_model.anthropometry import CALIPER_DEVIATION, estimate_geometry, parse_length
-from finger_model.calibration import CalibrationPress, calibrate, subject_model
+from finger_model.calibration import STRUCTURE_SD, CalibrationPress, calibrate, subject_model
 from finger_model.estimator import ContactEstimator
 from finger_model.finger import load_reduced
 from finger_model.geometry import Geometry
+from finger_model.laws import MaxwellLaw, StandardLinearSolid
 from finger_model.parameter_sets import ParameterSets
 from finger_model.people import People, Person
 from finger_model.reduced import ReducedModel
@@ -150,21 +157,75 @@ def scores(finger: Finger, calipers: bool) -> tuple[float, float, float]:
     return force_only(finger, model, found.sets)
 
 
+def tissue_of(law: MaxwellLaw) -> dict[str, float]:
+    """Long-term modulus (Pa), mean creep time (s) and creep of the bulk tissue, by the names of the
+    quantities of a calibration."""
+    relaxing = sum(branch.fraction for branch in law.branches)
+    long_term = 1.0 - relaxing
+    time = sum(branch.fraction * branch.relaxation_time for branch in law.branches) / relaxing
+    return {
+        "stiffness": law.instantaneous_modulus * long_term,
+        "time": time / long_term,
+        "creep": relaxing / long_term,
+    }
+
+
+def tissue_errors(finger: Finger, calipers: bool) -> dict[str, tuple[float, float, float]]:
+    """Of a calibration: errors of stiffness, creep time and creep, their stated deviations, and
+    what of these is STRUCTURE_SD; all of the natural logarithm."""
+    reading, sets = finger.person.reading, ParameterSets.default()
+    estimate = estimate_geometry(finger.width, finger.depth) if calipers else None
+    model, lengths = subject_model(load_reduced(), estimate)
+    found = calibrate(model, sets, finger.guided, reading, lengths=lengths)
+    shipped = StandardLinearSolid().with_vector(sets.interpolate(reading).parameters)
+    assert isinstance(shipped, StandardLinearSolid)
+    true, one = tissue_of(finger.person.material), tissue_of(shipped)
+    structure = STRUCTURE_SD[bool(lengths.deviations)]
+    rows = {}
+    for q in found.quantities:
+        if q.name in structure:
+            error = float(np.log(q.value * one[q.name] / true[q.name]))
+            rows[q.name] = error, q.deviation / q.value, structure[q.name]
+    return rows
+
+
+def print_tissue(fingers: Sequence[Finger]) -> None:
+    """How errors and deviations of `tissue_errors` go together over the fingers."""
+    stiffen = np.array([finger.person.material.stiffening > 0 for finger in fingers])
+    for calipers in STRUCTURE_SD:
+        rows = [tissue_errors(finger, calipers) for finger in fingers]
+        for name in rows[0]:
+            error, stated, structure = np.array([row[name] for row in rows]).T
+            left = np.mean(error**2 - stated**2 + structure**2)
+            print(
+                f"{'calipers' if calipers else 'default lengths'}: {name} error "
+                f"{np.mean(error[stiffen]):+.2f} in the mean of {stiffen.sum()} that stiffen, "
+                f"{np.mean(error[~stiffen]):+.2f} of the others, {rms(error):.2f} RMS; "
+                f"over its deviation {rms(error / stated):.2f} RMS; "
+                f"STRUCTURE_SD {np.sqrt(max(left, 0.0)):.2f}"
+            )
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--fingers", type=int, default=40)
     parser.add_argument("--seed", type=int, default=11)
     parser.add_argument("--width", default="", metavar="LENGTH")
     parser.add_argument("--presses", type=int, default=len(CALIBRATION_PRESSES))
+    parser.add_argument("--tissue", action="store_true", help="the deviations of the tissue alone")
     args = parser.parse_args()
     plan = list(itertools.islice(itertools.cycle(CALIBRATION_PRESSES), args.presses))
     found: dict[bool, list[tuple[float, float, float]]] = {False: [], True: []}
-    least = []
+    fingers, least = [], []
     for index in range(args.fingers):
         person = People.default().draw(np.random.default_rng([args.seed, index]))
         if args.width:
             person = scaled(person, parse_length(args.width, "--width"))
-        finger = pressed(args.seed, index, plan, person)
+        fingers.append(pressed(args.seed, index, plan, person))
+    if args.tissue:
+        print_tissue(fingers)
+        return 0
+    for finger in fingers:
         least.append(least_error(finger))
         for calipers, rows in found.items():
             rows.append(scores(finger, calipers))

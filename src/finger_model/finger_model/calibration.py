@@ -14,7 +14,8 @@ Newton from the distribution of the sets, about the model at the states found so
     A = A_model exp(h x − s w₀) (1 + g + m) + n
 
 The model is that of the finger's own lengths where calipers measured it (`subject_model`). They
-stay as given; what they leave unknown widens the deviations of the tissue.
+stay as given; what they leave unknown widens the deviations of the tissue. So does what the model
+leaves out of a finger, such as stiffening and further branches (`STRUCTURE_SD`).
 
 g is the press's own factor, m what the states cannot describe (with a memory of 0.3 s), n the noise
 of the camera. The deviation of g is that of the population, or that of the presses if they scatter
@@ -60,7 +61,20 @@ MOST_SCATTER = 0.15
 """Relative deviation from press to press above which the presses are not those of one finger."""
 DOUBTFUL_SCATTER = 0.08
 """The same, above which the result asks whether they are: as of areas that differ by a fifth."""
+STRUCTURE_SD = {
+    False: {"stiffness": 1.32, "time": 0.66, "creep": 0.55},
+    True: {"stiffness": 0.95, "time": 0.57, "creep": 0.46},
+}
+"""By whether calipers measured the finger: how far (RMS, of the natural logarithm) the states of
+the tissue are from its long-term modulus, mean creep time and creep, beside their own deviations.
+The model has one branch, does not stiffen, and without calipers has the lengths of the finger in
+use. For people of data/people.yaml, by
+`python scripts/calibration_fingers.py --tissue --fingers 100 --seed 77`."""
 
+_FACTORS = (
+    "factors of a like finger that has one branch and does not stiffen, in brackets the range (one "
+    "deviation) of this finger's own tissue"
+)
 _ROUNDS = 30
 _CONVERGED = 2e-3
 _LARGEST_STEP = 0.7
@@ -91,7 +105,8 @@ class CalibrationPress:
 class Quantity:
     """A number of the result with its standard deviation.
 
-    unit: "" for a factor over the shipped finger.
+    unit: "" for a factor over the shipped finger. The deviation of a factor is that of its natural
+    logarithm, times the factor.
     """
 
     name: str
@@ -100,14 +115,23 @@ class Quantity:
     unit: str = ""
     meaning: str = ""
 
+    def text(self) -> str:
+        """With its interval of one deviation, of a factor even in the logarithm."""
+        if self.unit:
+            return f"{self.meaning} {self.value:.3g} ± {self.deviation:.2g} {self.unit}"
+        ratio = math.exp(self.deviation / self.value)
+        low, high = self.value / ratio, self.value * ratio
+        return f"{self.meaning} {self.value:.3g} ({low:.2g} to {high:.2g})"
+
 
 @dataclass(frozen=True)
 class Calibration:
     """What the presses tell of a finger.
 
-    sets: with the finger's own prior. quantities: for people. press_scatter: relative deviation of
-    the area from press to press. residual: what is left within the presses, relative. areas: used.
-    note: which lengths of the finger were taken.
+    sets: with the finger's own prior. quantities: for people; the factors are those of a finger
+    with one branch that does not stiffen, their deviations those of this finger's own tissue.
+    press_scatter: relative deviation of the area from press to press. residual: what is left within
+    the presses, relative. areas: used. note: which lengths of the finger were taken.
     """
 
     sets: ParameterSets
@@ -120,15 +144,12 @@ class Calibration:
 
     def sentence(self) -> str:
         """The result in one line."""
-        shown = "; ".join(
-            f"{q.meaning} {q.value:.3g} ± {q.deviation:.2g} {q.unit}".strip()
-            for q in self.quantities
-        )
+        shown = "; ".join(quantity.text() for quantity in self.quantities)
         doubt = ""
         if self.press_scatter > DOUBTFUL_SCATTER:
             doubt = ", more than is usual: was it the same part of the same finger each time?"
         return (
-            f"{shown}; presses differ by {100 * self.press_scatter:.1f} %{doubt} "
+            f"{shown}; {_FACTORS}; presses differ by {100 * self.press_scatter:.1f} %{doubt} "
             f"({self.presses} presses, {self.areas} areas); {self.note}"
         )
 
@@ -268,9 +289,10 @@ def calibrate(
     base = sets.prior or FingerPrior((), (), misfit, 0.0, 0.0)
     own_prior = replace(base, mean=_rounded(found), covariance=tuple(map(_rounded, uncertain)))
     residuals = [press.residuals(found) for press in fit.areas]
+    structure = STRUCTURE_SD[bool(lengths.deviations)]
     return Calibration(
         sets.with_prior(own_prior, model.geometry, press_scatter(residuals, misfit)),
-        _quantities(model, selected.constants, found, uncertain, assumed),
+        _quantities(model, selected.constants, found, uncertain, assumed, structure),
         fit.spread,
         float(np.sqrt(np.mean(fit.left**2))),
         len(good),
@@ -471,11 +493,12 @@ def _quantities(
     x: np.ndarray,
     covariance: np.ndarray,
     assumed: np.ndarray,
+    structure: Mapping[str, float],
 ) -> tuple[Quantity, ...]:
     """The states as people read them: the area under 1 N, and factors over the shipped finger.
 
     covariance (5, 5): of x at given lengths; assumed (5, m): by how much one deviation of each
-    length moves x. The area is measured, whatever the lengths are.
+    length moves x; structure: as STRUCTURE_SD. The area is measured, whatever the finger is.
     """
     time = np.linspace(0.0, _REFERENCE_TIME, 101)
     force = _REFERENCE_FORCE * np.minimum(time / 0.2, 1.0)
@@ -501,5 +524,6 @@ def _quantities(
     for name, meaning in meanings.items():
         at = COORDINATES.index(name)
         factor = math.exp(x[at])
-        rows.append(Quantity(name, factor, factor * float(deviation[at]), "", meaning))
+        own = math.hypot(deviation[at], structure[name])
+        rows.append(Quantity(name, factor, factor * own, "", meaning))
     return tuple(rows)
