@@ -156,6 +156,13 @@ class Stages:
             yield item
             self.update(stage, number, total)
 
+    def say(self, text: str) -> None:
+        """Print a line on standard error, above the bars, also when quiet."""
+        if self._bars is None:
+            self._write(text)
+        else:
+            self._bars.console.print(plain(text), markup=False, highlight=False, soft_wrap=True)
+
     @staticmethod
     def _write(text: str) -> None:
         print(plain(text), file=sys.stderr, flush=True)

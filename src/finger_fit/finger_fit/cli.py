@@ -30,6 +30,7 @@ from finger_common.errors import InputError, listed
 from finger_common.progress import Stages
 
 from .fingers import Fingers, geometry_files
+from .interruption import signals_taken
 from .nuisance_names import name_of
 from .options import FitOptions
 from .problem import by_reason
@@ -236,7 +237,7 @@ def command(argv: Sequence[str] | None = None) -> int:
         browser = find_browser()  # before the fit, which is long
     fingers = Fingers.load(geometry_files(args.geometry), args.model or "", args.law)
     try:
-        with Screen(args.quiet) as screen:
+        with Screen(args.quiet) as screen, signals_taken(screen.say) as taken:
             result = fit_bags(
                 args.bags, options, args.output, args.condition, fingers, screen, settings,
                 shlex.join(["finger-fit", *given]),
@@ -246,13 +247,17 @@ def command(argv: Sequence[str] | None = None) -> int:
         raise
     show(result)
     page = Path(args.output) / "report.html"
-    print(f"report: {plain(page)}")
-    if browser:
+    written = page.is_file()
+    if written:
+        print(f"report: {plain(page)}")
+    if written and browser:
         for name in ("", *result.subjects):
             write_pdf(page.parent / name / page.name, browser)
         print(f"report: {plain(page.with_suffix('.pdf'))}")
     for bag in result.lost:
         print(f"finger-fit: {plain(bag)}: not all of the bag could be read", file=sys.stderr)
+    if taken:
+        return 128 + taken[0]
     if result.stopped:
         return EXIT_INTERRUPTED
     return EXIT_LOST if result.lost or result.missing else 0

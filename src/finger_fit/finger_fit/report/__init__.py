@@ -4,5 +4,5 @@
 """The report of a fit: figures, tables and the page. It draws results and computes none."""
 
 from .figures import figure
-from .page import write_report
+from .page import remove_figures, write_report
 from .pdf import find_browser, write_pdf

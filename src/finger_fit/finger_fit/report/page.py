@@ -73,6 +73,12 @@ def _write_figures(result: FitResult, folder: Path) -> dict[str, bytes]:
     return pictures
 
 
+def remove_figures(result: FitResult, folder: Path) -> None:
+    """Remove the figures of an earlier fit of these subjects."""
+    for name in ("", *result.subjects):
+        _remove_figures(folder / name / "figures", ())
+
+
 def _remove_figures(folder: Path, kept: Container[str]) -> None:
     """Remove the figures of an earlier fit in this folder that this one has not."""
     for name, kind in itertools.product(FIGURES, FORMATS):

@@ -4,7 +4,7 @@
 """What a fit found, and the files fit.json and parameters.yaml."""
 
 from .contrasts import Contrast, contrasts
-from .files import alone_in, check_folder, write
+from .files import alone_in, check_folder, remove_pages, write
 from .fit_json import condition_dict, fit_dict
 from .fits import (
     AssumedLengths,

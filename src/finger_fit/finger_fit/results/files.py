@@ -125,6 +125,13 @@ def write(result: FitResult, folder: Path) -> None:
             file.unlink()
 
 
+def remove_pages(result: FitResult, folder: Path) -> None:
+    """Remove the report.html of an earlier fit of these subjects, and what was printed of it."""
+    for name in ("", *result.subjects):
+        for page in ("report.html", "report.pdf"):
+            (folder / name / page).unlink(missing_ok=True)
+
+
 def _write(result: FitResult, folder: Path) -> None:
     earlier = _parameter_files_of(folder)
     with atomic_write(folder / "fit.json") as file:

@@ -23,6 +23,7 @@ import numpy as np
 from finger_common.errors import InputError
 from finger_common.files import atomic_write, load_json
 
+from ..interruption import interruptible
 from .coordinates import Coordinates
 
 Cost = Callable[[np.ndarray], np.ndarray]
@@ -79,21 +80,23 @@ def grid_points(coordinates: Coordinates, number: int) -> np.ndarray:
 def search_grid(
     cost: Cost, coordinates: Coordinates, number: int, progress: Progress | None = None
 ) -> Search:
-    """Evaluate the whole grid; Ctrl-C or Stopped ends it with what was evaluated."""
+    """Evaluate the whole grid; Ctrl-C or Stopped ends it with what was evaluated, if anything."""
     points = grid_points(coordinates, number)
     costs = np.full(len(points), np.inf)
     rounds = range(0, len(points), GRID_CHUNK)
     complete = False
     try:
-        for count, start in enumerate(rounds, 1):
-            part = slice(start, start + GRID_CHUNK)
-            costs[part] = cost(points[part])
-            if progress is not None:
-                best = int(np.argmin(costs))
-                progress(count, len(rounds), float(costs[best]), points[best])
-        complete = True
+        with interruptible():
+            for count, start in enumerate(rounds, 1):
+                part = slice(start, start + GRID_CHUNK)
+                costs[part] = cost(points[part])
+                if progress is not None:
+                    best = int(np.argmin(costs))
+                    progress(count, len(rounds), float(costs[best]), points[best])
+            complete = True
     except (KeyboardInterrupt, Stopped):
-        pass
+        if not np.isfinite(costs).any():
+            raise
     return Search("grid", points[:, None], costs[:, None], complete)
 
 
@@ -209,30 +212,31 @@ def search(
     costs: list[np.ndarray] = []
     complete, unsaved = False, ""
     try:
-        for index in range(rounds):
-            asked = coordinates.parameters(optimizer.ask())
-            if index < len(done_points):
-                if not np.array_equal(asked, done_points[index]):
-                    raise InputError(
-                        f"{checkpoint}: round {index + 1} was made by another version of the "
-                        "optimiser; start again without resume"
-                    )
-                found = np.array(done_costs[index])
-            else:
-                found = np.asarray(cost(asked), dtype=float)
-            optimizer.tell(found)
-            points.append(asked)
-            costs.append(found)
-            if checkpoint is not None and index >= len(done_points):
-                try:
-                    _save(checkpoint, identity, points, costs)
-                    unsaved = ""  # it holds all rounds
-                except (InputError, OSError) as error:
-                    unsaved = str(error)
-            if progress is not None:
-                best = Search(name, np.array(points), np.array(costs)).best
-                progress(index + 1, rounds, best[1], best[0])
-        complete = True
+        with interruptible():
+            for index in range(rounds):
+                asked = coordinates.parameters(optimizer.ask())
+                if index < len(done_points):
+                    if not np.array_equal(asked, done_points[index]):
+                        raise InputError(
+                            f"{checkpoint}: round {index + 1} was made by another version of the "
+                            "optimiser; start again without resume"
+                        )
+                    found = np.array(done_costs[index])
+                else:
+                    found = np.asarray(cost(asked), dtype=float)
+                optimizer.tell(found)
+                points.append(asked)
+                costs.append(found)
+                if checkpoint is not None and index >= len(done_points):
+                    try:
+                        _save(checkpoint, identity, points, costs)
+                        unsaved = ""  # it holds all rounds
+                    except (InputError, OSError) as error:
+                        unsaved = str(error)
+                if progress is not None:
+                    best = Search(name, np.array(points), np.array(costs)).best
+                    progress(index + 1, rounds, best[1], best[0])
+            complete = True
     except (KeyboardInterrupt, Stopped):
         if not points:
             raise

@@ -16,6 +16,7 @@ from finger_model.fem.area_model import FullOrderAreas
 
 from ..engine import Engine, LocalEngine
 from ..full_order import BetterModel, FullOrder, check, correct
+from ..interruption import interruptible
 from ..nuisance.estimate import ROUNDS, NuisanceModel, Settled
 from ..nuisance.geometry import FullOrderGeometry, PopulationGeometry, geometry_responses
 from ..nuisance.result import nuisance_result
@@ -64,10 +65,11 @@ def fit_condition(
     fit = stages.search()
     if fit.status != "interrupted":
         try:
-            stages.polish_best(fit)
-            without = fit.parameters
-            settled = stages.minimise(fit)
-            stages.assess(fit, settled, without)
+            with interruptible():
+                stages.polish_best(fit)
+                without = fit.parameters
+                settled = stages.minimise(fit)
+                stages.assess(fit, settled, without)
         except (KeyboardInterrupt, Stopped):
             fit.status = "interrupted"
             fit.reasons = ["interrupted after the search; the later results are incomplete"]
@@ -289,7 +291,10 @@ class _Stages:
 
     def cross_check(self, fit: ConditionFit, name: str) -> CrossCheck:
         """Another optimiser from the same start, and whether it agrees after the same polish."""
-        found, cost = self.run(name).best
+        check = self.run(name)
+        if not check.complete:
+            raise Stopped
+        found, cost = check.best
         polished = min(cost, refine(self.problem, self.coordinates, found).cost)
         agrees = bool(abs(polished / fit.objective - 1) < AGREEMENT)
         return CrossCheck(name, found, cost, polished, agrees)

@@ -26,6 +26,7 @@ from .. import results
 from ..engine import Engine, LocalEngine, engine_for
 from ..fingers import Fingers
 from ..full_order import FullOrder
+from ..interruption import interruptible, kept, not_kept
 from ..options import FitOptions
 from ..problem import (
     DataError,
@@ -253,7 +254,8 @@ class _Work:
         done = Progress("", len(self.fingers.space), self.report).count("subjects")
         # A worker may have no processes of its own.
         shared = _Work(self.fingers, self.options, self.conditions, LocalEngine(1))
-        found = self.engine.map(_fit_alone, shared, list(subjects.values()), done)
+        with not_kept(), interruptible():
+            found = self.engine.map(_fit_alone, shared, list(subjects.values()), done)
         return zip(subjects, found, strict=True)
 
     def fit_subject(self, trials: Sequence[FitTrial]) -> FitResult:
@@ -313,8 +315,9 @@ class _Work:
             result.problems += _on_parameter_files(fits)
         if not result.stopped:
             try:
-                result.contrasts = contrasts(fits, codes_of(trials))
-                _further(result, self.engine)
+                with interruptible():
+                    result.contrasts = contrasts(fits, codes_of(trials))
+                    _further(result, self.engine)
             except INTERRUPTIONS:
                 result.stopped = True
             except FingerError as error:
@@ -454,21 +457,22 @@ def fit_bags(
             tried = {Finger(r.subject, finger_of(r)) for r in loaded.records}
             left_out = {Finger(e.subject, "") for e in loaded.exclusions}
             results.check_folder(folder, tried | left_out)
-        result = fit_records(loaded.records, fingers, options, conditions, folder, report)
-        result.exclusions = [*loaded.exclusions, *result.exclusions]
-        for name, part in result.subjects.items():
-            _exclude(part, loaded.exclusions, name)
-        result.problems = [*loaded.problems, *result.problems]
-        result.lost = loaded.lost
-        for part in (result, *result.subjects.values()):
-            part.sources = provenance(part, options, loaded.sources, command)
-        result.seconds.update(progress.seconds)
-        for fit in result.fits.values():
-            for stage, spent in fit.seconds.items():
-                result.seconds[stage] = result.seconds.get(stage, 0.0) + spent
-        result.output = folder
-        if folder is not None:
-            _write(result, folder, progress)
+        with kept():
+            result = fit_records(loaded.records, fingers, options, conditions, folder, report)
+            result.exclusions = [*loaded.exclusions, *result.exclusions]
+            for name, part in result.subjects.items():
+                _exclude(part, loaded.exclusions, name)
+            result.problems = [*loaded.problems, *result.problems]
+            result.lost = loaded.lost
+            for part in (result, *result.subjects.values()):
+                part.sources = provenance(part, options, loaded.sources, command)
+            result.seconds.update(progress.seconds)
+            for fit in result.fits.values():
+                for stage, spent in fit.seconds.items():
+                    result.seconds[stage] = result.seconds.get(stage, 0.0) + spent
+            result.output = folder
+            if folder is not None:
+                _write(result, folder, progress)
     return result
 
 
@@ -481,21 +485,32 @@ class NotWritten(InputError):
 
 
 def _write(result: FitResult, folder: Path, progress: Progress) -> None:
-    """Files first, then the report; a stopped fit writes what it found. Raises NotWritten."""
-    from ..report import write_report  # it imports matplotlib
-
+    """Files first, then the report; a stopped fit writes what it found. An interruption after the
+    files becomes a note. Raises NotWritten."""
     state = "not all files of the fit are written"
     try:
         results.write(result, folder)
         state = "results and parameters are written, the report is not"
-        with contextlib.suppress(Stopped):
-            progress.count("report")(0, 1)
-        with progress.timed("report"):
-            draw(result)
-            write_report(result, folder)
-        state = "results, parameters and report are written, the time that the report took is not"
-        result.seconds.update(progress.seconds)
-        results.write(result, folder)
+        results.remove_pages(result, folder)
+        try:
+            from ..report import remove_figures, write_report  # seconds: they import matplotlib
+
+            remove_figures(result, folder)
+            with interruptible():
+                with contextlib.suppress(Stopped):
+                    progress.count("report")(0, 1)
+                with progress.timed("report"):
+                    draw(result)
+                    write_report(result, folder)
+            state = (
+                "results, parameters and report are written, the time that the report took is not"
+            )
+            result.seconds.update(progress.seconds)
+            results.write(result, folder)
+        except KeyboardInterrupt:
+            result.stopped = True
+            result.problems.append(f"interrupted: {state}")
+            return
     except (FingerError, OSError) as error:
         reason = str(error)
         if isinstance(error, OSError):

@@ -1,0 +1,96 @@
+# Copyright 2026 Finger contact maintainers
+# SPDX-License-Identifier: Apache-2.0
+
+"""Ctrl-C during a fit: its stage ends, and what was found is written.
+
+It ends at once what is `interruptible`. In the rest of a block that is `kept`, such as between two
+stages and while files are written, the first one waits for the next interruptible block. Without
+`signals_taken` (in a script, in a node) Ctrl-C raises KeyboardInterrupt anywhere.
+"""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass
+class _State:
+    """keeps: something may have been found; ends: a signal ends what runs; waiting: one came while
+    it did not."""
+
+    keeps: bool = False
+    ends: bool = False
+    waiting: bool = False
+
+
+_state = _State()
+
+
+@contextmanager
+def _set(**values: bool) -> Iterator[None]:
+    before = dict(vars(_state))
+    try:
+        vars(_state).update(values)
+        if _state.ends and _state.waiting:
+            _state.waiting = False
+            raise KeyboardInterrupt
+        yield
+    finally:
+        vars(_state).update({name: before[name] for name in values})
+
+
+def kept() -> Any:
+    """A block whose results are worth writing."""
+    return _set(keeps=True)
+
+
+def not_kept() -> Any:
+    """A part of it that leaves no results when it is interrupted."""
+    return _set(keeps=False)
+
+
+def interruptible() -> Any:
+    """A part of it that KeyboardInterrupt may end; the caller keeps what was found."""
+    return _set(ends=True)
+
+
+@contextmanager
+def signals_taken(say: Callable[[str], None]) -> Iterator[list[int]]:
+    """Let signals interrupt what is kept, and say so at once; gives the list of the one that did.
+
+    The first signal counts; after it, Ctrl-C raises KeyboardInterrupt anywhere. A signal that is
+    ignored stays so.
+    """
+    before: dict[int, Any] = {}
+    taken: list[int] = []
+
+    def take(number: int, frame: Any) -> None:
+        if not _state.keeps:
+            before[number](number, frame)
+        elif taken:
+            raise KeyboardInterrupt
+        else:
+            taken.append(number)
+            with suppress(OSError, RuntimeError):  # closed; or in the middle of another line
+                say("interrupted: writing the results so far; Ctrl-C again gives them up")
+            _state.waiting = not _state.ends
+            if _state.ends:
+                raise KeyboardInterrupt
+
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGINT,):
+            if callable(usual := signal.getsignal(number)):
+                before[number] = usual
+                signal.signal(number, take)
+    try:
+        yield taken
+    finally:
+        _state.waiting = False
+        for of, usual in before.items():
+            if signal.getsignal(of) is take:
+                signal.signal(of, usual)
