@@ -243,6 +243,13 @@ def print_to_nobody() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
+def end_workers() -> None:
+    """End the processes of pools, without waiting for what they compute."""
+    if (pools := sys.modules.get("multiprocessing")) is not None:  # else there are none
+        for worker in pools.active_children():
+            worker.terminate()
+
+
 class _Signalled(BaseException):
     """SIGTERM or SIGHUP, as `timeout`, Slurm, `docker stop` and a closed terminal send them."""
 
@@ -262,9 +269,7 @@ def _signals_raised() -> Iterator[None]:
     def end(number: int, frame: Any) -> None:
         for other in ended:  # a second one must not break the clean-ups
             signal.signal(other, signal.SIG_IGN)
-        if (pools := sys.modules.get("multiprocessing")) is not None:  # else there are none
-            for worker in pools.active_children():
-                worker.terminate()
+        end_workers()
         raise _Signalled(number)
 
     for number in ended:

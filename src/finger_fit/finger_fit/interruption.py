@@ -1,21 +1,25 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""Ctrl-C during a fit: its stage ends, and what was found is written.
+"""Ctrl-C, SIGTERM and SIGHUP during a fit: its stage ends, and what was found is written.
 
-It ends at once what is `interruptible`. In the rest of a block that is `kept`, such as between two
-stages and while files are written, the first one waits for the next interruptible block. Without
-`signals_taken` (in a script, in a node) Ctrl-C raises KeyboardInterrupt anywhere.
+A signal ends at once what is `interruptible`. In the rest of a block that is `kept`, such as
+between two stages and while files are written, the first one waits for the next interruptible
+block. Without `signals_taken` (in a script, in a node) Ctrl-C raises KeyboardInterrupt anywhere.
 """
 
 from __future__ import annotations
 
+import os
 import signal
+import stat
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any
+
+from finger_common.cli import end_workers
 
 
 @dataclass
@@ -63,8 +67,8 @@ def interruptible() -> Any:
 def signals_taken(say: Callable[[str], None]) -> Iterator[list[int]]:
     """Let signals interrupt what is kept, and say so at once; gives the list of the one that did.
 
-    The first signal counts; after it, Ctrl-C raises KeyboardInterrupt anywhere. A signal that is
-    ignored stays so.
+    The first signal counts. After it, Ctrl-C raises KeyboardInterrupt anywhere, and SIGTERM and
+    SIGHUP, which may come in pairs, do nothing. Signals that are ignored stay so.
     """
     before: dict[int, Any] = {}
     taken: list[int] = []
@@ -73,24 +77,43 @@ def signals_taken(say: Callable[[str], None]) -> Iterator[list[int]]:
         if not _state.keeps:
             before[number](number, frame)
         elif taken:
-            raise KeyboardInterrupt
+            if number == signal.SIGINT:
+                raise KeyboardInterrupt
         else:
             taken.append(number)
+            name, again = signal.Signals(number).name, "Ctrl-C gives them up"
+            if number == signal.SIGINT:
+                name, again = "interrupted", "Ctrl-C again gives them up"
+            else:
+                end_workers()
+                _leave_closed_terminal()
             with suppress(OSError, RuntimeError):  # closed; or in the middle of another line
-                say("interrupted: writing the results so far; Ctrl-C again gives them up")
+                say(f"{name}: writing the results so far; {again}")
             _state.waiting = not _state.ends
             if _state.ends:
                 raise KeyboardInterrupt
 
     if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGINT,):
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             if callable(usual := signal.getsignal(number)):
                 before[number] = usual
                 signal.signal(number, take)
     try:
         yield taken
+    except KeyboardInterrupt:
+        if taken and taken[0] != signal.SIGINT:
+            before[taken[0]](taken[0], None)
+        raise
     finally:
         _state.waiting = False
         for of, usual in before.items():
             if signal.getsignal(of) is take:
                 signal.signal(of, usual)
+
+
+def _leave_closed_terminal() -> None:
+    """Print to nobody what would go to a terminal that is gone: the write would fail."""
+    for stream in (1, 2):
+        with suppress(OSError):
+            if stat.S_ISCHR(os.fstat(stream).st_mode) and not os.isatty(stream):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), stream)

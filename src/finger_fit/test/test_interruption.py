@@ -5,8 +5,14 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
+import os
 import signal
+import subprocess
+import sys
+import termios
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +38,8 @@ class Fit:
 
     def __init__(self, double: Any, folder: Path, patch: pytest.MonkeyPatch) -> None:
         records = [double.make_record(i, 0.7 + 0.2 * i, 1e-6) for i in range(3)]
-        patch.setattr(study, "load", lambda *_: bags.Loaded(list(records)))
+        self.loaded = bags.Loaded(records)
+        patch.setattr(study, "load", lambda *_: self.loaded)
         patch.setattr(Fingers, "load", lambda *_: Fingers.of(double.HereditaryModel()))
         self.bag, self.folder, self.patch = folder, folder / "fit", patch
         self.page = self.folder / "report.html"
@@ -141,3 +148,98 @@ def test_ctrl_c_in_a_cross_check_ends_the_fit(fit: Fit, capfd) -> None:
     fit.patch.setattr(condition, "search", search)
     assert fit.run("--optimizer", "pso", "de") == 130
     assert searches == ["pso", "de"] and fit.status == CUT
+
+
+END = {signal.SIGTERM: 143, signal.SIGHUP: 129}
+
+
+@pytest.fixture
+def signals_that_end(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """SIGHUP may be ignored where the tests run, as under nohup."""
+    before = {number: signal.signal(number, signal.SIG_DFL) for number in END}
+    yield
+    for number, usual in before.items():
+        signal.signal(number, usual)
+
+
+@pytest.mark.parametrize(("number", "code"), END.items())
+@pytest.mark.parametrize(("place", "name"), [(condition, "refine"), (study, "provenance")])
+def test_signals_of_batch_systems_and_terminals_keep_what_was_found(
+    fit: Fit, capfd, signals_that_end: None, number: int, code: int, place: Any, name: str
+) -> None:
+    """They may come in pairs."""
+    fit.before(place, name, number, number)
+    assert fit.run() == code
+    err = capfd.readouterr().err
+    assert f"{signal.Signals(number).name}: writing the results so far" in err
+    assert fit.status == (CUT if name == "refine" else WHOLE)
+    assert signal.getsignal(number) is signal.SIG_DFL
+
+
+def test_ctrl_c_after_another_signal_gives_up_the_results(
+    fit: Fit, capfd, signals_that_end: None
+) -> None:
+    fit.before(study.results, "write", signal.SIGTERM, signal.SIGINT)
+    assert fit.run() == 143
+    assert capfd.readouterr().err.endswith("ended by SIGTERM\n")
+    assert not (fit.folder / "fit.json").exists()
+
+
+def test_of_subjects_the_fitted_ones_are_written(fit: Fit, signals_that_end: None) -> None:
+    more = [replace(r, subject="S02", bag=f"S02_{r.index}", force=1.01 * r.force)
+            for r in fit.loaded.records]  # fmt: skip
+    fit.loaded.records += more
+    usual = study.fit_condition
+
+    def begin(problem: Any, name: str, engine: Any, folder: Path, report: Any) -> Any:
+        if folder.name == "S02":
+            signal.raise_signal(signal.SIGTERM)
+        return usual(problem, name, engine, folder, report)
+
+    fit.patch.setattr(study, "fit_condition", begin)
+    assert fit.run() == 143
+    found = json.loads((fit.folder / "fit.json").read_text())
+    assert list(found["subjects"]) == ["S01"]
+    assert found["notes"] == ["interrupted: not fitted: subjects S02"]
+    assert (fit.folder / "S01" / "fit.json").is_file()
+
+
+CLOSED = """\
+import sys, time
+from pathlib import Path
+from finger_common.cli import run
+from finger_fit.interruption import interruptible, kept, signals_taken
+def command(argv):
+    with signals_taken(print) as taken, kept():
+        try:
+            with interruptible():
+                print("begun", flush=True)
+                time.sleep(60)
+        except KeyboardInterrupt:
+            print("written", flush=True)
+            Path(argv[0]).write_text("results")
+        return 128 + taken[0]
+sys.exit(run(command, sys.argv[1:]))
+"""
+
+
+def test_a_closed_terminal_does_not_keep_results_from_being_written(tmp_path: Path) -> None:
+    """To print to it would fail."""
+    terminal, inside = os.openpty()
+
+    def lead() -> None:
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
+        os.setsid()
+        fcntl.ioctl(inside, termios.TIOCSCTTY, 0)
+
+    file = tmp_path / "results"
+    child = subprocess.Popen(
+        [sys.executable, "-c", CLOSED, str(file)],
+        stdin=inside, stdout=inside, stderr=inside, preexec_fn=lead,
+    )  # fmt: skip
+    os.close(inside)
+    said = b""
+    while b"begun" not in said:
+        said += os.read(terminal, 1000)
+    os.close(terminal)
+    assert child.wait(timeout=30) == 129 and file.read_text() == "results"
