@@ -121,6 +121,24 @@ def test_an_output_that_cannot_be_written_is_refused_before_bags_are_read(tmp_pa
             fit_bags([tmp_path / "no bag"], output=output)
 
 
+def test_trials_that_the_end_of_a_bag_lacks_are_explained(tmp_path) -> None:
+    """A computer that fails while it records leaves a bag that is cut off."""
+    with BagWriter(tmp_path / "bag", {"condition": "dry"}) as bag:
+        write_attempt(bag, 0, phases=((3, 0), (5, 4)))
+    (file,) = (tmp_path / "bag").glob("*.mcap")
+    whole = file.read_bytes()
+    few = "condition 'dry' has 1 trial, 3 are needed"
+    with pytest.raises(InputError) as found:
+        fit_bags([tmp_path / "bag"])
+    assert few in str(found.value) and "in the bags" not in str(found.value)
+    for kept, why in ((0.95, few), (0.1, "holds neither 'wrench'")):
+        file.write_bytes(whole[: int(kept * len(whole))])
+        with pytest.raises(InputError) as found:
+            fit_bags([tmp_path / "bag"])
+        assert why in str(found.value)
+        assert "cut off" in str(found.value) and "not closed by its recorder" in str(found.value)
+
+
 def test_a_trial_that_a_crash_interrupted_is_not_fitted(tmp_path) -> None:
     """Its press is whole in its bag, and no later attempt is given."""
     plan = StudyPlan("S01", "s", conditions=("dry",), trials=1)

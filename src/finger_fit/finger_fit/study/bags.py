@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from finger_bag.bag_files import find_bags, storage_of
 from finger_bag.mapping import TopicMapping
 from finger_bag.reader import open_bag
 from finger_common.contact_threshold import LIFTOFF_FORCE, ONSET_FORCE
-from finger_common.errors import InputError
+from finger_common.errors import InputError, listed
 from finger_common.files import sha256_of, sha256_of_file
 from finger_offline.trial_records import Exclusion as TrialExclusion
 from finger_offline.trial_records import TrialRecord, TrialSet
@@ -137,13 +137,18 @@ def _read(bag: Path, settings: TrialSettings) -> tuple[TrialSet, str, str]:
         if reader.topic("wrench_raw", settings.namespace) is None:
             raise InputError(
                 f"{bag}: holds neither 'wrench' nor 'wrench_raw'; record the force or name its "
-                "topic in a mapping file"
+                f"topic in a mapping file{noted(reader.all_problems())}"
             )
         streams = streams_with_areas(reader, replace(settings, wrench_topic="wrench_raw"))
         wrenches = streams.wrenches
         tare = recorded_tare(metadata.extra, wrenches.force, wrenches.stamp_ns)
         streams.wrenches = wrenches._replace(force=wrenches.force - tare)
         return trials_in(reader, streams, settings), "wrench_raw less tare", made_by
+
+
+def noted(problems: Sequence[str]) -> str:
+    """What reading found in the bags, as the end of a sentence on data that are missing."""
+    return f"; noted in the bags: {listed(problems, 4, '; ')}" if problems else ""
 
 
 def recorded_tare(extra: dict[str, str], force: np.ndarray, stamp_ns: np.ndarray) -> np.ndarray:

@@ -41,7 +41,7 @@ from ..problem import (
 from ..quality import judge, quality_of, screen
 from ..results import ConditionFit, Finger, FitResult, codes_of, contrasts
 from ..search import Stopped
-from .bags import load, reading
+from .bags import load, noted, reading
 from .condition import fit_condition
 from .deformed import deformed_finger
 from .further import force_modes, shared_fit, thickness_fit
@@ -62,6 +62,10 @@ SMALLEST_CONDITION = 3
 """Trials below which a condition is not fitted: too few to separate parameters from scatter."""
 
 
+class NothingFitted(InputError):
+    """Of the trials, no condition can be fitted."""
+
+
 def fit_records(
     records: Sequence[Any],
     model: Any,
@@ -73,7 +77,7 @@ def fit_records(
     """Fit recorded trials, subject by subject and condition by condition.
 
     model: of all subjects, or the `Fingers` of each. options.pool fits all subjects as one. Raises
-    InputError when nothing can be fitted.
+    NothingFitted, and InputError for records that do not go together.
     """
     fingers = Fingers.of(model)
     _check_spelling(records)
@@ -117,7 +121,7 @@ def fit_records(
             try:
                 part = work.fit_subject(trials)
             except InputError as error:
-                raise InputError(f"{error}{_left_out(exclusions)}") from None
+                raise NothingFitted(f"{error}{_left_out(exclusions)}") from None
             return dataclasses.replace(
                 part, exclusions=exclusions, problems=[*notes, *part.problems]
             )
@@ -139,7 +143,8 @@ def fit_records(
         if tried < len(own):
             notes.append(f"interrupted: not fitted: subjects {', '.join(list(own)[tried:])}")
     if not parts:
-        raise InputError(f"no subject can be fitted ({'; '.join(notes)}){_left_out(exclusions)}")
+        why = f"({'; '.join(notes)}){_left_out(exclusions)}"
+        raise NothingFitted(f"no subject can be fitted {why}")
     return FitResult(
         options,
         {f"{name} {c}": fit for name, part in parts.items() for c, fit in part.fits.items()},
@@ -380,9 +385,9 @@ def _exclude(part: FitResult, exclusions: Sequence[Exclusion], subject: str) -> 
     part.exclusions = [*own, *part.exclusions]
 
 
-def nothing_to_fit(exclusions: Sequence[Exclusion]) -> InputError:
+def nothing_to_fit(exclusions: Sequence[Exclusion]) -> NothingFitted:
     """The error of a fit without a usable trial."""
-    return InputError(f"no trial can be fitted ({_reasons(exclusions) or 'the bags hold none'})")
+    return NothingFitted(f"no trial can be fitted ({_reasons(exclusions) or 'the bags hold none'})")
 
 
 def _left_out(exclusions: Sequence[Exclusion]) -> str:
@@ -451,14 +456,18 @@ def fit_bags(
         progress = Progress("", len(fingers.space), report)
         with progress.timed("load"):
             loaded = load(paths, settings or reading(options), progress.count("load"))
+        found = noted(loaded.problems)
         if not loaded.records:
-            raise nothing_to_fit(loaded.exclusions)
+            raise InputError(f"{nothing_to_fit(loaded.exclusions)}{found}")
         if folder is not None:
             tried = {Finger(r.subject, finger_of(r)) for r in loaded.records}
             left_out = {Finger(e.subject, "") for e in loaded.exclusions}
             results.check_folder(folder, tried | left_out)
         with kept():
-            result = fit_records(loaded.records, fingers, options, conditions, folder, report)
+            try:
+                result = fit_records(loaded.records, fingers, options, conditions, folder, report)
+            except NothingFitted as error:
+                raise InputError(f"{error}{_left_out(loaded.exclusions)}{found}") from None
             result.exclusions = [*loaded.exclusions, *result.exclusions]
             for name, part in result.subjects.items():
                 _exclude(part, loaded.exclusions, name)
