@@ -7,15 +7,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
 
+from finger_common.cli import EXIT_BAD_INPUT, EXIT_INTERRUPTED
+from finger_model.cli import main
 from finger_model.fem.full_order import FullOrderModel
 from finger_model.geometry import Geometry
 from finger_model.laws.standard_linear_solid import PARAMETERS
 from finger_model.reduced import ReducedModel
-from finger_model.reduced.build import build
+from finger_model.reduced import build as one
+from finger_model.reduced import population_build as all_fingers
+from finger_model.reduced.build import build, parts_folder
 from finger_model.reduced.build_settings import BuildSettings
 from finger_model.reduced.force_histories import KINDS, random_history
 from finger_model.reduced.maps import sigmoid
@@ -147,6 +152,43 @@ def test_the_kernels_evaluate_the_networks_of_the_file() -> None:
     area = (LENGTH * x[on]) ** 2 * np.exp(contact[on, 0])
     assert np.allclose(found.area[on], area, rtol=1e-9)
     assert np.allclose(found.peak_pressure[on], force[on] / area * np.exp(contact[on, 1]))
+
+
+@pytest.mark.parametrize("module, command", [(one, "reduce"), (all_fingers, "reduce-population")])
+@pytest.mark.parametrize("seed", [1, 2], ids=["same", "other"])
+def test_a_second_build_of_an_output_is_refused_and_leaves_the_runs_of_the_first(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture,
+    module: ModuleType,
+    command: str,
+    seed: int,
+) -> None:
+    output, folder = tmp_path / "model.npz", tmp_path / "model.npz.parts"
+    codes: list[int] = []
+
+    def code_of(*options: str) -> int:
+        with pytest.raises(SystemExit) as ended:
+            main([command, "-o", str(output), *options])
+        return ended.value.code
+
+    def second(*_: object) -> None:
+        """In place of the first build's first runs."""
+        if codes:
+            raise AssertionError("two builds at once")
+        codes.append(-1)
+        (folder / "modes.npy").write_bytes(b"of the first")
+        codes.append(code_of(f"--seed={seed}"))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(module, "_modes", second)
+    assert code_of() == EXIT_INTERRUPTED
+    assert codes[-1] == EXIT_BAD_INPUT
+    assert f"{folder}: another build is writing there; wait until" in capsys.readouterr().err
+    assert (folder / "modes.npy").read_bytes() == b"of the first"
+    with parts_folder(output, "another") as parts:  # the lock has ended with the first build
+        assert [file.name for file in parts.iterdir()] == ["belongs_to"]
+    assert not folder.exists()
 
 
 @pytest.mark.slow

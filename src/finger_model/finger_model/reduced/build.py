@@ -15,6 +15,7 @@ import os
 import shutil
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ import numpy as np
 
 from finger_common.errors import InputError, ModelError
 from finger_common.files import atomic_write, sha256_of
+from finger_common.folder_lock import take_lock
 
 from ..fem.full_order import FullOrderModel
 from ..geometry import Geometry
@@ -64,7 +66,8 @@ def build(
 ) -> tuple[ReducedModel, ErrorTable]:
     """Build the reduced model of a geometry and write it to `output`; with its measured errors.
 
-    Raises InputError when the output cannot be written and ModelError when too few runs succeed.
+    Raises InputError when the output cannot be written or another build writes it, and ModelError
+    when too few runs succeed.
     """
     settings = settings or BuildSettings()
     workers = workers or min(2, os.cpu_count() or 1)
@@ -72,9 +75,21 @@ def build(
     output = Path(output)
     kept = ("pilots", "seed", "refinement", "friction")
     runs = {key: value for key, value in settings.to_dict().items() if key in kept}
-    parts = parts_folder(output, sha256_of({"geometry": geometry.hash(), "runs": runs}))
-    began = time.monotonic()
+    name = sha256_of({"geometry": geometry.hash(), "runs": runs})
+    with parts_folder(output, name) as parts:
+        return _build(geometry, output, settings, workers, report, parts)
 
+
+def _build(
+    geometry: Geometry,
+    output: Path,
+    settings: BuildSettings,
+    workers: int,
+    report: Progress,
+    parts: Path,
+) -> tuple[ReducedModel, ErrorTable]:
+    """As `build`, with the folder of finished runs."""
+    began = time.monotonic()
     modes = _modes(parts, geometry, settings, workers, report)
 
     def runs_of(name: str, stage: str, make_case: Callable, number: int) -> list[Run]:
@@ -97,7 +112,6 @@ def build(
     meta["settings"]["build_seconds"] = round(time.monotonic() - began, 1)
     model = ReducedModel(arrays, meta)
     model.save(output)
-    shutil.rmtree(parts)
     return model, table
 
 
@@ -171,20 +185,44 @@ def _meta(geometry: Geometry, settings: BuildSettings) -> dict[str, Any]:
 # Resumable stages ----------------------------------------------------------------------------
 
 
-def parts_folder(output: Path, name: str) -> Path:
-    """Folder of finished runs; emptied when it belongs to another build than that named `name`."""
+@contextmanager
+def parts_folder(output: Path, name: str) -> Iterator[Path]:
+    """Folder of finished runs, for this build alone; removed once the build is done, kept when it
+    is interrupted.
+
+    name: of the build; what another one left in the folder is removed. Raises InputError while
+    another build writes there, and when the folder cannot be written. File systems without locks
+    are not guarded.
+    """
     folder = output.with_name(output.name + ".parts")
     stamp = folder / "belongs_to"
     try:
-        if folder.exists() and (not stamp.exists() or stamp.read_text() != name):
-            shutil.rmtree(folder)
         folder.mkdir(parents=True, exist_ok=True)
-        stamp.write_text(name)
+        handle = os.open(folder, os.O_RDONLY)
     except OSError as error:
-        raise InputError(
-            f"{folder}: cannot be written ({error.strerror}); choose another output"
-        ) from None
-    return folder
+        raise _no_folder(folder, error) from None
+    try:
+        # A build that ended in between has removed the folder that was opened.
+        if not take_lock(handle) or not os.fstat(handle).st_nlink:
+            raise InputError(
+                f"{folder}: another build is writing there; wait until it has ended, or choose "
+                "another output"
+            )
+        try:
+            if not stamp.exists() or stamp.read_text() != name:
+                for left in folder.iterdir():
+                    left.unlink()
+            stamp.write_text(name)
+        except OSError as error:
+            raise _no_folder(folder, error) from None
+        yield folder
+        shutil.rmtree(folder)
+    finally:
+        os.close(handle)
+
+
+def _no_folder(folder: Path, error: OSError) -> InputError:
+    return InputError(f"{folder}: cannot be written ({error.strerror}); choose another output")
 
 
 def _modes(

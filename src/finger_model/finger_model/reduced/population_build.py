@@ -10,7 +10,6 @@ command continues an interrupted build.
 from __future__ import annotations
 
 import os
-import shutil
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -122,7 +121,8 @@ def build(
 ) -> tuple[ReducedModel, dict[str, ErrorTable]]:
     """Build the model of the population box and write it to `output`; with its measured errors.
 
-    Raises InputError when the output cannot be written and ModelError when too few runs succeed.
+    Raises InputError when the output cannot be written or another build writes it, and ModelError
+    when too few runs succeed.
     """
     settings = settings or PopulationSettings()
     workers = workers or min(2, os.cpu_count() or 1)
@@ -130,7 +130,15 @@ def build(
     output = Path(output)
     runs_only = {k: v for k, v in settings.to_dict().items() if k in ("seed", "pilots")}
     layout = [field.name for field in fields(Run)]
-    parts = parts_folder(output, sha256_of({"population": runs_only, "layout": layout}))
+    name = sha256_of({"population": runs_only, "layout": layout})
+    with parts_folder(output, name) as parts:
+        return _build(output, settings, workers, report, parts)
+
+
+def _build(
+    output: Path, settings: PopulationSettings, workers: int, report: Progress, parts: Path
+) -> tuple[ReducedModel, dict[str, ErrorTable]]:
+    """As `build`, with the folder of finished runs."""
     began = time.monotonic()
     modes = _modes(parts, settings, report)
 
@@ -156,7 +164,6 @@ def build(
         began,
     )
     model.save(output)
-    shutil.rmtree(parts)
     return model, tables
 
 
