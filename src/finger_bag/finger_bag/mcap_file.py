@@ -210,6 +210,15 @@ class McapFile:
         if len(self.problems) < 50 and text not in self.problems:
             self.problems.append(text)
 
+    def _read(self, position: int, size: int) -> bytes:
+        """Bytes at a place that was inside the file when it was opened; fewer, and a problem noted,
+        where the file has become shorter."""
+        self._stream.seek(position)
+        data = self._stream.read(size)
+        if len(data) < size:
+            self.note("the file became shorter while it was read")
+        return data
+
     # The summary -----------------------------------------------------------------------------
 
     def _read_summary(self) -> bool:
@@ -217,8 +226,9 @@ class McapFile:
         ending = _FOOTER.size + len(MAGIC)
         if self._length < len(MAGIC) + ending:
             return False
-        self._stream.seek(-ending, io.SEEK_END)
-        tail = self._stream.read(ending)
+        tail = self._read(self._length - ending, ending)
+        if len(tail) < ending:
+            return False
         opcode, length, start, _, crc = _FOOTER.unpack_from(tail)
         end = self._length - ending
         whole = (opcode, length) == (FOOTER, _FOOTER.size - _RECORD.size) and tail.endswith(MAGIC)
@@ -268,8 +278,10 @@ class McapFile:
     def _records(self, position: int, end: int) -> Iterator[tuple[int, int, int]]:
         """(opcode, place of the body, length) of records, up to the first that does not fit."""
         while position + _RECORD.size <= end:
-            self._stream.seek(position)
-            opcode, length = _RECORD.unpack(self._stream.read(_RECORD.size))
+            head = self._read(position, _RECORD.size)
+            if len(head) < _RECORD.size:
+                return
+            opcode, length = _RECORD.unpack(head)
             body = position + _RECORD.size
             if body + length > end:
                 return
@@ -286,8 +298,10 @@ class McapFile:
         self._stream.seek(max(0, self._length - len(MAGIC)))
         closed = self._stream.read() == MAGIC
         while position + _RECORD.size <= self._length:
-            self._stream.seek(position)
-            opcode, length = _RECORD.unpack(self._stream.read(_RECORD.size))
+            head = self._read(position, _RECORD.size)
+            if len(head) < _RECORD.size:
+                break
+            opcode, length = _RECORD.unpack(head)
             body = position + _RECORD.size
             end = body + length
             if opcode == 0 or end > self._length:
@@ -342,8 +356,7 @@ class McapFile:
         elif length > MAXIMUM_SMALL_RECORD:
             self.note(f"record at byte {body} claims {length} bytes and was not read")
         else:
-            self._stream.seek(body)
-            self._take_small(opcode, self._stream.read(length), body)
+            self._take_small(opcode, self._read(body, length), body)
 
     def _take_small(self, opcode: int, data: bytes, where: int) -> None:
         stream = ReadDataStream(io.BytesIO(data))
@@ -380,15 +393,13 @@ class McapFile:
         """Take the record that an index names; raises ValueError when it is not there."""
         if position > self._length - _RECORD.size:
             raise ValueError
-        self._stream.seek(position)
-        found, length = _RECORD.unpack(self._stream.read(_RECORD.size))
+        found, length = _RECORD.unpack(self._read(position, _RECORD.size))
         if found != opcode or position + _RECORD.size + length > self._length:
             raise ValueError
         self._take(opcode, position + _RECORD.size, length)
 
     def _take_chunk(self, body: int, length: int, regions: list[Region]) -> None:
-        self._stream.seek(body)
-        head = self._stream.read(min(length, _CHUNK.size + 4))
+        head = self._read(body, min(length, _CHUNK.size + 4))
         try:
             start, end, size, crc = _CHUNK.unpack_from(head)
             (name_length,) = struct.unpack_from("<I", head, _CHUNK.size)
@@ -417,8 +428,7 @@ class McapFile:
         regions.append(Region(offset, stored, size, compression, crc, start, end))
 
     def _take_attachment(self, body: int, length: int) -> None:
-        self._stream.seek(body)
-        head = ReadDataStream(io.BytesIO(self._stream.read(min(length, 64 << 10))))
+        head = ReadDataStream(io.BytesIO(self._read(body, min(length, 64 << 10))))
         try:
             head.read(_TIMES)
             name, media_type = head.read_prefixed_string(), head.read_prefixed_string()
@@ -445,9 +455,9 @@ class McapFile:
         before = _RECORD.size + _CHUNK.size
         overlap = 64
         while position < self._length:
-            self._stream.seek(position)
-            block = self._stream.read(_RUN)
-            last = position + len(block) >= self._length
+            size = min(_RUN, self._length - position)
+            block = self._read(position, size)
+            last = len(block) < size or position + size == self._length
             end = len(block) if last else len(block) - overlap
             found = sorted(
                 index - before
@@ -466,10 +476,12 @@ class McapFile:
     # Content ---------------------------------------------------------------------------------
 
     def content(self, region: Region) -> bytes | None:
-        """Uncompressed bytes of a region; None, and a problem noted, when they are damaged."""
+        """Uncompressed bytes of a region; None, and a problem noted, when they are damaged or
+        gone."""
         where = f"chunk at byte {region.offset}"
-        self._stream.seek(region.offset)
-        stored = self._stream.read(region.stored)
+        stored = self._read(region.offset, region.stored)
+        if len(stored) < region.stored:
+            return None
         try:
             if region.compression == "zstd":
                 data = _zstd(stored, region.size)
@@ -533,12 +545,12 @@ class McapFile:
         )
 
     def attachment(self, entry: AttachmentEntry) -> bytes | None:
-        """Content of an attachment; None, and a problem noted, when it is too large."""
+        """Content of an attachment; None, and a problem noted, when it is too large or gone."""
         if entry.size > MAXIMUM_ATTACHMENT:
             self.note(f"attachment '{entry.name}' has {entry.size} bytes and was not read")
             return None
-        self._stream.seek(entry.offset)
-        return self._stream.read(entry.size)
+        data = self._read(entry.offset, entry.size)
+        return data if len(data) == entry.size else None
 
 
 _SIGNATURES = {

@@ -166,6 +166,59 @@ def test_damage_in_the_middle_does_not_hide_what_follows(original: bytes, tmp_pa
         assert file.complete
 
 
+@pytest.mark.parametrize("left", [0.0, 0.3, 0.7, 0.995])
+@pytest.mark.parametrize("hole", [False, True])
+def test_a_file_that_becomes_shorter_while_it_is_read_gives_what_is_left(
+    left: float, hole: bool, original: bytes, tmp_path: Path
+) -> None:
+    path = tmp_path / "short.mcap"
+    path.write_bytes(original)
+    kept = int(left * len(original))
+    chunks = [(a, b) for opcode, a, b in mutations.records(original) if opcode == 6]
+    whole = sum(end <= kept for _, end in chunks)
+    with McapFile(path) as file, open(path, "r+b") as other:
+        if hole:  # after which the next chunk is searched for
+            other.seek(chunks[2][0])
+            other.write(b"\xff" * 300)
+            whole = max(0, whole - 1) if whole > 2 else whole
+        other.truncate(kept)
+        other.flush()
+        found = [file.block(region) for region in file.regions]
+        assert sum(len(block.times) > 0 for block in found) == whole
+        assert file.lost and not file.complete
+        assert "the file became shorter while it was read" in file.problems
+
+
+def test_an_attachment_that_is_gone_is_no_attachment(tmp_path: Path) -> None:
+    picture = bytes(100_000)
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.attach("plate.png", picture)
+    path = tmp_path / "bag" / "bag_0.mcap"
+    with McapFile(path) as file:
+        (entry,) = file.attachments
+        assert file.attachment(entry) == picture
+        os.truncate(path, entry.offset + 50_000)
+        assert file.attachment(entry) is None
+        assert file.lost and file.problems == ["the file became shorter while it was read"]
+
+
+def test_a_file_that_becomes_shorter_before_its_summary_is_read(
+    original: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "short.mcap"
+    path.write_bytes(original)
+    read_summary = McapFile._read_summary
+
+    def later(file: McapFile) -> bool:
+        os.truncate(path, len(original) // 2)
+        return read_summary(file)
+
+    monkeypatch.setattr(McapFile, "_read_summary", later)
+    with McapFile(path) as file:
+        assert file.regions and file.channels
+        assert file.lost and "the file became shorter while it was read" in file.problems
+
+
 HOSTILE = {
     "empty": b"",
     "only magic": mutations.MAGIC,
