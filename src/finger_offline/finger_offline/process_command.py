@@ -117,7 +117,7 @@ def run(args: argparse.Namespace) -> int:
         else:
             show = partial(stages.update, bags[0].name)
             results.append(process(bags[0], targets[0], options, show))
-    return _report(results, time.perf_counter() - began)
+    return _report(bags, results, time.perf_counter() - began)
 
 
 def _name_of(bag: Path) -> str:
@@ -147,12 +147,16 @@ def _process_one(job: tuple[Path, Path, ProcessOptions]) -> ProcessResult | Fing
         return error
 
 
-def _report(results: Sequence[ProcessResult | FingerError], took: float) -> int:
+def _report(
+    bags: Sequence[Path], results: Sequence[ProcessResult | FingerError], took: float
+) -> int:
     failed = [r for r in results if isinstance(r, FingerError)]
     good = [r for r in results if not isinstance(r, FingerError)]
-    for result in good:
+    for bag, result in zip(bags, results):
+        if isinstance(result, FingerError):
+            continue
         for problem in result.problems:
-            print(f"finger-bag: {plain(result.path)}: {plain(problem)}", file=sys.stderr)
+            print(f"finger-bag: {plain(bag)}: {plain(problem)}", file=sys.stderr)
         for note in result.notes:
             print(f"{plain(result.path)}: {plain(note)}")
     total = sum(r.duration for r in good)

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -23,7 +24,7 @@ from finger_bag.read_settings import ReadSettings
 from finger_bag.reader import open_bag
 from finger_bag.streams import read_streams
 from finger_bag.writer import BagWriter
-from finger_common.cli import run
+from finger_common.cli import EXIT_BAD_INPUT, run
 from finger_common.errors import InputError
 from finger_common.image_size import PixelBudget
 from finger_common.stamps import time_fields
@@ -467,6 +468,25 @@ def test_bags_that_would_share_a_name_are_refused(
     assert "--jobs is 0" in capsys.readouterr().err
     assert run(command, ["process", *apart, *target]) == 0
     assert {p.name for p in (tmp_path / "out").iterdir()} == {"dry_1.35N", "dry_1.50N"}
+
+
+@pytest.mark.parametrize("names", [["cut"], ["empty", "cut", "whole"]])
+def test_a_problem_names_the_bag_that_was_read(
+    names: list[str],
+    session: Callable[..., Path],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    for name in names:
+        (file,) = session(name, trials=1).glob("*.mcap")
+        kept = {"cut": 0.7, "empty": 0.0, "whole": 1.0}[name]
+        os.truncate(file, int(kept * file.stat().st_size))
+    bags = [str(tmp_path / name) for name in names]
+    code = run(command, ["process", *bags, "-o", str(tmp_path / "out"), "--jobs", "1"])
+    assert code == (EXIT_BAD_INPUT if "empty" in names else 0)
+    said = capsys.readouterr().err
+    assert f"finger-bag: {tmp_path / 'cut'}: file was not closed by its recorder" in said
+    assert str(tmp_path / "out") not in said
 
 
 def test_wrenches_without_stamps_are_not_left_out_silently(tmp_path: Path) -> None:
