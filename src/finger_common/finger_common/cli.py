@@ -258,6 +258,24 @@ class _Signalled(BaseException):
 
 
 @contextmanager
+def _pools_quiet() -> Iterator[None]:
+    """A process pool of Python 3.11 that loses its processes gives their error to futures that were
+    cancelled too, and its thread ends with InvalidStateError: no report of that."""
+    usual = threading.excepthook
+
+    def report(failed: threading.ExceptHookArgs) -> None:
+        pools = sys.modules.get("concurrent.futures")
+        if pools is None or failed.exc_type is not pools.InvalidStateError:
+            usual(failed)
+
+    threading.excepthook = report
+    try:
+        yield
+    finally:
+        threading.excepthook = usual
+
+
+@contextmanager
 def _signals_raised() -> Iterator[None]:
     """SIGTERM and SIGHUP raise _Signalled, so that no half-written file is left; signals that
     somebody handles or ignores stay as they are."""
@@ -301,7 +319,7 @@ def run(
         sys.stdout.reconfigure(errors="backslashreplace")  # file names need not be text
     try:
         try:
-            with _signals_raised():
+            with _signals_raised(), _pools_quiet():
                 return main(argv) or 0
         finally:  # also of --help
             try:

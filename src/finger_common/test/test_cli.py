@@ -10,6 +10,7 @@ import shlex
 import signal
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -179,6 +180,46 @@ def test_a_command_that_is_ended_leaves_no_half_written_file(
     _, says = child.communicate(timeout=30)
     assert child.returncode == code and says.endswith(f"ended by {number.name}\n")
     assert time.monotonic() - began < 20.0 and not list(tmp_path.iterdir())
+
+
+CANCELLED = """
+import os, signal, sys, time
+from concurrent.futures import ProcessPoolExecutor
+from finger_common.cli import run
+from finger_common.processes import begin_worker
+def command(argv):
+    with ProcessPoolExecutor(2, initializer=begin_worker) as pool:
+        for _ in pool.map(time.sleep, [0.1, *([600.0] * 2000)]):
+            os.kill(os.getpid(), signal.SIGTERM)
+if __name__ == "__main__":
+    sys.exit(run(command))
+"""
+
+
+def test_a_signal_shows_no_error_of_a_pool_whose_work_it_cancels() -> None:
+    for _ in range(5):
+        ended = subprocess.run(
+            [sys.executable, "-c", CANCELLED], capture_output=True, text=True, timeout=60
+        )
+        assert ended.returncode == 143
+        assert ended.stderr.splitlines() == ["-c: ended by SIGTERM"]
+
+
+def test_other_errors_of_threads_are_shown() -> None:
+    seen: list[type[BaseException]] = []
+
+    def command(argv: object) -> int:
+        thread = threading.Thread(target=lambda: 1 / 0)
+        thread.start()
+        thread.join()
+        return 0
+
+    usual, threading.excepthook = threading.excepthook, lambda args: seen.append(args.exc_type)
+    try:
+        assert run(command) == 0
+    finally:
+        threading.excepthook = usual
+    assert seen == [ZeroDivisionError]
 
 
 def test_a_signal_that_is_ignored_stays_so() -> None:

@@ -88,7 +88,12 @@ def simulate_study(
     if processes > 1 and len(jobs) > 1:
         spawn = multiprocessing.get_context("spawn")
         with ProcessPoolExecutor(processes, spawn, initializer=begin_worker) as pool:
-            _tell(pool.map(write, jobs), len(jobs), progress)
+            try:
+                _tell(pool.map(write, jobs), len(jobs), progress)
+            except KeyboardInterrupt:
+                progress("interrupted: ends after the trials that are being simulated")
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
     else:
         _tell(map(write, jobs), len(jobs), progress)
     truth = {

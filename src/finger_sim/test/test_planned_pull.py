@@ -113,6 +113,23 @@ def test_a_study_of_a_negative_seed_is_refused_before_its_folder_is_claimed(tmp_
     assert not (tmp_path / "study").exists()
 
 
+def test_an_interrupted_study_says_at_once_what_it_waits_for(tmp_path: Path) -> None:
+    said: list[str] = []
+
+    def report(line: str) -> None:
+        said.append(line)
+        if line.startswith("[1/40]"):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        simulate_study(
+            1, tmp_path, False, trials=40, conditions=["dry"], refinement=0.3, report=report
+        )
+    assert said[-1].startswith("interrupted: ends after the trials that are being simulated")
+    written = list(tmp_path.glob("dry_*"))
+    assert 1 <= len(written) < 10 and all((bag / "metadata.yaml").exists() for bag in written)
+
+
 def test_frames_of_a_tilted_finger_show_the_ellipse_where_it_is(tmp_path: Path) -> None:
     pose = Pose(1.3, 0.3, 0.1)
     request = TrialRequest("natural", 1, seed=5)
