@@ -250,6 +250,10 @@ def end_workers() -> None:
             worker.terminate()
 
 
+DROPPED_AGAIN = 0.1
+"""s after which a signal comes again whose exception was dropped."""
+
+
 class _Signalled(BaseException):
     """SIGTERM or SIGHUP, as `timeout`, Slurm, `docker stop` and a closed terminal send them."""
 
@@ -278,7 +282,9 @@ def _pools_quiet() -> Iterator[None]:
 @contextmanager
 def _signals_raised() -> Iterator[None]:
     """SIGTERM and SIGHUP raise _Signalled, so that no half-written file is left; signals that
-    somebody handles or ignores stay as they are."""
+    somebody handles or ignores stay as they are. A signal whose exception is dropped comes again:
+    no exception passes a callback of compiled code, such as that of numba while it loads kernels.
+    """
     ended = [signal.SIGTERM, signal.SIGHUP]
     if threading.current_thread() is not threading.main_thread():
         ended = []  # Python sets handlers in the main thread only
@@ -290,11 +296,28 @@ def _signals_raised() -> Iterator[None]:
         end_workers()
         raise _Signalled(number)
 
+    usual, again = sys.unraisablehook, threading.Timer(0.0, int)
+
+    def dropped(lost: Any) -> None:
+        nonlocal again
+        if not isinstance(lost.exc_value, (KeyboardInterrupt, _Signalled)):
+            return usual(lost)
+        number = getattr(lost.exc_value, "number", signal.SIGINT)
+        if number in ended:
+            signal.signal(number, end)
+        again.cancel()
+        again = threading.Timer(DROPPED_AGAIN, os.kill, (os.getpid(), number))
+        again.daemon = True
+        again.start()
+
+    sys.unraisablehook = dropped
     for number in ended:
         signal.signal(number, end)
     try:
         yield
     finally:
+        again.cancel()
+        sys.unraisablehook = usual
         for number in ended:
             signal.signal(number, signal.SIG_DFL)
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import shlex
 import signal
@@ -19,6 +20,7 @@ import pytest
 
 from finger_common.cli import Parser, add_settings, run, settings_from
 from finger_common.errors import InputError, known_names, listed
+from finger_common.files import atomic_write
 from finger_common.folder_lock import lock_folder
 from finger_common.progress import Stages, duration_text
 from finger_common.settings import Settings, setting
@@ -220,6 +222,36 @@ def test_other_errors_of_threads_are_shown() -> None:
     finally:
         threading.excepthook = usual
     assert seen == [ZeroDivisionError]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_in_a_callback_of_compiled_code_ends_the_command(
+    number: signal.Signals, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Python drops the exception there, as in those of numba while it loads kernels."""
+    calls: list[int] = []
+
+    def callback() -> None:
+        calls.append(1)
+        if len(calls) < 3:  # the second one comes in another callback
+            signal.raise_signal(number)
+
+    def command(argv: object) -> int:
+        with atomic_write(tmp_path / "out"):
+            for _ in range(2):
+                ctypes.CFUNCTYPE(None)(callback)()
+            time.sleep(20.0)
+        return 0
+
+    before = signal.signal(number, signal.default_int_handler if number == 2 else signal.SIG_DFL)
+    try:
+        assert run(command) == 128 + number
+        assert signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler)
+    finally:
+        signal.signal(number, before)
+    said = capfd.readouterr().err
+    assert len(said.splitlines()) == 1 and ("interrupted" if number == 2 else number.name) in said
+    assert len(calls) == 2 and not list(tmp_path.iterdir())
 
 
 def test_a_signal_that_is_ignored_stays_so() -> None:
