@@ -26,14 +26,13 @@ import rclpy
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from finger_common.cli import one_line, plain
 from finger_common.errors import InputError
 from finger_common.files import parse_yaml
-from finger_common.node import use_large_shared_memory
+from finger_common.node import begin_ros
 from finger_common.stamps import fill_time
 
 from .definitions import type_hash
@@ -79,9 +78,7 @@ def play(
     topics: absolute names, None for all. Topics whose type is not installed are left out with a
     line on standard error. Raises InputError when nothing can be played.
     """
-    use_large_shared_memory()
-    # rclpy's own handlers end the context at once, under the message being published.
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    begin_ros([])
     on_sigterm = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         node = rclpy.create_node("bag_player")

@@ -20,10 +20,11 @@ from service_calls import call
 from session_bags import START, wrench
 from waiting import wait_until
 
-from finger_bag.cli import parser
+from finger_bag.cli import command, parser
 from finger_bag.reader import open_bag
 from finger_bag.replay import Pause, ReplaySettings, lateness_text, replay
 from finger_bag.writer import BagWriter
+from finger_common.cli import EXIT_BAD_INPUT, run
 from finger_common.errors import InputError
 
 
@@ -358,6 +359,15 @@ def ended(*arguments):
 play_node.replay = ended
 sys.exit(run(command, ["play", sys.argv[1], "--wait", "0"]))
 """
+
+
+def test_a_clock_outside_the_times_of_messages_ends_the_player(
+    short: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("rclpy")
+    monkeypatch.setattr(time, "time_ns", lambda: 2**31 * 10**9)
+    assert run(command, ["play", str(short)]) == EXIT_BAD_INPUT
+    assert "the system clock says 2038-01-19 03:14:08 UTC" in capsys.readouterr().err
 
 
 def test_sigterm_ends_the_player_as_ctrl_c_does(short: Path, ros_domain: int) -> None:

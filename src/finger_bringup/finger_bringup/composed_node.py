@@ -30,12 +30,11 @@ from typing import Any
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.logging import get_logger
-from rclpy.signals import SignalHandlerOptions
 
 from finger_common.cli import EXIT_BAD_INPUT, one_line
 from finger_common.errors import FingerError, InputError
-from finger_common.node import ManagedNode, use_large_shared_memory
-from finger_common.node.running import handle_end_signals, say_farewell, why_not_begun
+from finger_common.node import ManagedNode, begin_ros
+from finger_common.node.running import handle_end_signals, say_farewell
 from finger_common.priority import run_in_real_time
 
 from .restarts import RestartDelay
@@ -146,14 +145,9 @@ def _main(argv: Sequence[str]) -> int:
     arguments = parser.parse_args(argv[:at])
     try:
         members = [Member(text) for text in arguments.nodes]
+        begin_ros(argv[at:])
     except InputError as error:
         print(f"composed_node: {one_line(error)}", file=sys.stderr)
-        return EXIT_BAD_INPUT
-    use_large_shared_memory()
-    try:
-        rclpy.init(args=list(argv[at:]), signal_handler_options=SignalHandlerOptions.NO)
-    except Exception as error:
-        print(f"composed_node: {why_not_begun(error)}", file=sys.stderr)
         return EXIT_BAD_INPUT
     ending = threading.Event()
     handle_end_signals(lambda *_: ending.set())

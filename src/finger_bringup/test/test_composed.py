@@ -191,6 +191,21 @@ def test_a_hand_in_one_process(hand: Hand, tmp_path: Path) -> None:
     assert hand.log.count("Traceback") == 1, hand.log
 
 
+def test_a_clock_outside_the_times_of_messages_is_told(
+    process: Callable[..., Any], ros_domain: int, tmp_path: Path
+) -> None:
+    script = tmp_path / "hand.py"
+    script.write_text(
+        "import time\ntime.time_ns = lambda: -(10**9)\n"
+        "from finger_bringup.composed_node import main\nmain(['thumb=finger_model.model_node'])\n"
+    )
+    child = process(script)
+    assert child.wait(30) == 2
+    said = child.output.read_text()
+    assert said.startswith("composed_node: the system clock says 1969-12-31 23:59:59 UTC")
+    assert said.count("\n") == 1
+
+
 def test_a_finger_without_its_sensor_holds_up_no_other_and_comes_when_it_is_plugged_in(
     process: Callable[..., Any], ros_domain: int, tmp_path: Path
 ) -> None:

@@ -191,6 +191,24 @@ def test_parameter_file_that_is_not_yaml_ends_with_one_sentence(
     assert "bad.yaml" in output and "Traceback" not in output
 
 
+CLOCK = "import sys, time\ntime.time_ns = lambda now=int(sys.argv.pop(1)): now * 10**9\n"
+
+
+@pytest.mark.parametrize(
+    ("seconds", "said"), [(-1, "1969-12-31 23:59:59"), (1 << 31, "2038-01-19 03:14:08")]
+)
+def test_a_clock_outside_the_times_of_messages_is_told(
+    ros_domain: int, process: Any, tmp_path: Path, seconds: int, said: str
+) -> None:
+    script = tmp_path / "gauge.py"
+    script.write_text(CLOCK + NODE)
+    child = process(script, str(seconds))
+    assert child.wait(30) == 2
+    output = child.output.read_text()
+    assert output.startswith(f"gauge: the system clock says {said} UTC, messages hold the years")
+    assert output.endswith("; set the clock\n") and output.count("\n") == 1
+
+
 @pytest.mark.parametrize("folder", ["file/log", "/sys"])
 def test_logs_that_cannot_be_written_are_told_from_arguments(
     ros_domain: int, process: Any, tmp_path: Path, folder: str

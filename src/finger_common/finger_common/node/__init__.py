@@ -19,7 +19,7 @@ from .managed import FrameSettings, ManagedNode, NodeSettings
 from .parameter_requests import refusal_of, set_request
 from .polling import POLLED_DEPTH, PolledSubscription
 from .qos import EVENTS_QOS, LATCHED_QOS, STATE_QOS
-from .running import main_of, run_node, use_large_shared_memory
+from .running import begin_ros, main_of, run_node, use_large_shared_memory
 from .serialized import FixedMessage, Listeners
 from .waiting import WaitedSubscription
 
@@ -39,6 +39,7 @@ __all__ = [
     "NodeSettings",
     "PolledSubscription",
     "WaitedSubscription",
+    "begin_ros",
     "main_of",
     "message_of",
     "refusal_of",

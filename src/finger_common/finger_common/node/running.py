@@ -14,6 +14,7 @@ import textwrap
 import threading
 import time
 from collections.abc import Callable, Sequence
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,8 @@ from rclpy.logging import get_logging_directory
 from rclpy.signals import SignalHandlerOptions
 
 from ..cli import EXIT_BAD_INPUT, one_line
-from ..errors import FingerError
+from ..errors import FingerError, InputError
+from ..stamps import LAST_STAMP, NANOSECONDS
 from .managed import ManagedNode
 
 END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -112,7 +114,30 @@ def say_farewell(node: ManagedNode, executor: SingleThreadedExecutor) -> None:
         executor.spin_once(timeout_sec=0.05)
 
 
-def why_not_begun(error: Exception) -> str:
+def begin_ros(arguments: Sequence[str] | None) -> None:
+    """rclpy.init for a process that handles its signals itself and may publish images.
+
+    arguments: None for those of the process. Raises InputError when the system clock is outside the
+    times that messages hold, the folder of the logs cannot be written, or the arguments cannot be
+    used.
+    """
+    now = time.time_ns()
+    if not 0 <= now <= LAST_STAMP:
+        day = datetime(1970, 1, 1) + timedelta(seconds=now // NANOSECONDS)
+        raise InputError(
+            f"the system clock says {day} UTC, messages hold the years 1970 to 2037; set the clock"
+        )
+    use_large_shared_memory()
+    try:
+        rclpy.init(
+            args=list(arguments) if arguments is not None else None,
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+    except Exception as error:
+        raise InputError(_why_not_begun(error)) from None
+
+
+def _why_not_begun(error: Exception) -> str:
     """Sentence on an rclpy.init that failed: by the folder of the logs, or by the arguments."""
     folder = Path("~/.ros/log")
     try:
@@ -144,14 +169,10 @@ def run_node(
     is empty.
     """
     name = name or node_class.NAME
-    use_large_shared_memory()
     try:
-        rclpy.init(
-            args=list(argv) if argv is not None else None,
-            signal_handler_options=SignalHandlerOptions.NO,
-        )
-    except Exception as error:
-        print(f"{name}: {why_not_begun(error)}", file=sys.stderr)
+        begin_ros(argv)
+    except InputError as error:
+        print(f"{name}: {one_line(error)}", file=sys.stderr)
         return EXIT_BAD_INPUT
     node: ManagedNode | None = None
     executor = SingleThreadedExecutor()
