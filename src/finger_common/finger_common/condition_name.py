@@ -10,14 +10,14 @@ from collections.abc import Iterable
 
 from .errors import InputError
 
-CONDITION_NAME = re.compile(r"(?:\w[\w .,+()%-]{0,63})?")
+CONDITION_NAME = re.compile(r"(?:\w(?:[\w .,+()%-]{0,62}[\w.,+()%-])?)?")
 """Empty: no condition was noted."""
 
 SESSION_NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 """Of a guided session and of its conditions. These stand between commas on the command line and in
 blocks such as dry:3, and name the bags of the session, which are typed in commands."""
 
-CASE_ALONE = "differ in case alone; write one name in one way"
+SPELLING_ALONE = "differ in case or spaces alone; write one name in one way"
 
 
 def check_condition_name(text: str, what: str) -> str:
@@ -25,16 +25,17 @@ def check_condition_name(text: str, what: str) -> str:
     if not CONDITION_NAME.fullmatch(text):
         raise InputError(
             f"{what} {text[:40]!r} is not valid; use letters, digits, spaces and _ . , + ( ) % -, "
-            "at most 64 characters, the first a letter, a digit or _"
+            "at most 64 characters, the last no space, the first a letter, a digit or _"
         )
     return text
 
 
-def same_but_for_case(names: Iterable[str]) -> tuple[str, str] | None:
-    """The first two different names that are one name for some file systems; None without."""
+def same_but_for_spelling(names: Iterable[str]) -> tuple[str, str] | None:
+    """The first two different names that are one name for a reader, or for some file systems; None
+    without."""
     seen: dict[str, str] = {}
     for name in names:
-        first = seen.setdefault(name.casefold(), name)
+        first = seen.setdefault(" ".join(name.split()).casefold(), name)
         if first != name:
             return first, name
     return None

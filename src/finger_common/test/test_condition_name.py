@@ -10,7 +10,7 @@ import pytest
 from finger_common.condition_name import (
     SESSION_NAME,
     check_condition_name,
-    same_but_for_case,
+    same_but_for_spelling,
 )
 from finger_common.errors import InputError
 
@@ -22,7 +22,9 @@ def test_names_that_name_files_everywhere(name: str) -> None:
     assert check_condition_name(name, "condition") == name
 
 
-@pytest.mark.parametrize("name", ["..", "/dry", "dry/left", "-dry", " dry", "x" * 65, "dry\n"])
+@pytest.mark.parametrize(
+    "name", ["..", "/dry", "dry/left", "-dry", " dry", "dry ", "x ", "x" * 65, "dry\n"]
+)
 def test_other_names_are_refused_with_the_rule(name: str) -> None:
     with pytest.raises(InputError, match=r"^condition .* is not valid; use letters.*a digit or _$"):
         check_condition_name(name, "condition")
@@ -35,5 +37,11 @@ def test_a_name_of_a_session_is_one_of_a_bag(name: str) -> None:
 
 
 def test_the_first_names_that_differ_in_case_alone() -> None:
-    assert same_but_for_case(["dry", "Moist", "dry", "moist", "DRY"]) == ("Moist", "moist")
-    assert same_but_for_case(["dry", "moist", "dry"]) is None
+    assert same_but_for_spelling(["dry", "Moist", "dry", "moist", "DRY"]) == ("Moist", "moist")
+    assert same_but_for_spelling(["dry", "moist", "dry"]) is None
+
+
+def test_the_first_names_that_differ_in_spaces_alone() -> None:
+    assert same_but_for_spelling(["very dry", "dry", "Very  dry"]) == ("very dry", "Very  dry")
+    assert same_but_for_spelling(["", "dry", "dry "]) == ("dry", "dry ")
+    assert same_but_for_spelling(["very dry", "verydry"]) is None

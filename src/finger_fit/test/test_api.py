@@ -821,7 +821,9 @@ def test_labels_are_taken_without_blanks_and_in_one_case(double: SimpleNamespace
     assert len(found.result.fits["dry"].problem) == 5
     for change in ({"condition": "Dry"}, {"subject": "s01"}):
         other = [*trials[:4], replace(trials[4], **change)]
-        with pytest.raises(InputError, match="differ in case alone; write one name in one way"):
+        with pytest.raises(
+            InputError, match="differ in case or spaces alone; write one name in one way"
+        ):
             fit(other, model=model, **quick)
 
 

@@ -173,7 +173,9 @@ def test_codes_of_subjects_are_written_in_one_way(
     double: SimpleNamespace, presses: list[Any]
 ) -> None:
     other = [double.make_record(i, 0.7 + 0.4 * i, 0.3e-6) for i in range(4)]
-    with pytest.raises(InputError, match=r"'S01' in .* and 's01' in .* differ in case alone"):
+    with pytest.raises(
+        InputError, match=r"'S01' in .* and 's01' in .* differ in case or spaces alone"
+    ):
         fitted(double, [*presses, *(replace(p, subject="s01") for p in other)])
     with pytest.raises(InputError, match=r"subject '\.\./S01' is not valid; use"):
         fitted(double, [replace(p, subject="../S01") for p in presses])
@@ -188,7 +190,10 @@ def test_bags_whose_conditions_differ_in_case_are_refused(
     assert run(command, [*bags, "-o", str(tmp_path / "fit"), "--quiet"]) == 2
     (said,) = capsys.readouterr().err.splitlines()
     assert "conditions 'dry' in " in said and "/b0 and 'Dry' in " in said
-    assert "differ in case alone; write one name in one way, or fit each of them alone" in said
+    assert (
+        "differ in case or spaces alone; write one name in one way, or fit each of them alone"
+        in said
+    )
 
 
 def test_a_press_that_began_before_the_recording_is_left_out(

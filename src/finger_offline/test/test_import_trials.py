@@ -103,7 +103,7 @@ def test_a_table_of_trials_as_people_write_it(files: dict[str, str], tmp_path: P
             run_of(row)
     content = (tmp_path / "force 1.csv").read_text()
     (tmp_path / "force 2.csv").write_text(content + "8.9999,0\n")
-    with pytest.raises(InputError, match=r"row 3: 's01' and 'S01' differ in case alone"):
+    with pytest.raises(InputError, match=r"row 3: 's01' and 'S01' differ in case or spaces alone"):
         run_of("force 1.csv;area 1.csv;S01;kalt;;;", "force 2.csv;area 1.csv;s01;kalt;;;")
 
 

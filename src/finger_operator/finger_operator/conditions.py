@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from finger_common.condition_name import CASE_ALONE, SESSION_NAME, same_but_for_case
+from finger_common.condition_name import SESSION_NAME, SPELLING_ALONE, same_but_for_spelling
 from finger_common.errors import nearest
 from finger_common.guided_pulls import skin_of
 
@@ -24,8 +24,8 @@ def conditions_problem(names: Sequence[object]) -> str:
                 "digits, - and _, and commas between conditions"
             )
         texts.append(name)
-    if twins := same_but_for_case(texts):
-        return f"conditions '{twins[0]}' and '{twins[1]}' {CASE_ALONE}"
+    if twins := same_but_for_spelling(texts):
+        return f"conditions '{twins[0]}' and '{twins[1]}' {SPELLING_ALONE}"
     unique = len(set(texts)) == len(texts)
     return "" if unique else "a condition is named twice; give each block once"
 

@@ -67,7 +67,8 @@ def test_preparation_texts_can_be_edited_and_survive(rig: Rig) -> None:
         ({"conditions": ("dry; natural",)}, "and _, and commas between conditions"),
         (
             {"conditions": ("natrual", "Natural", "natural")},
-            "conditions 'Natural' and 'natural' differ in case alone; write one name in one way",
+            "conditions 'Natural' and 'natural' differ in case or spaces alone; "
+            "write one name in one way",
         ),
         ({"trials": 0}, "trials"),
         ({"readings": -1}, "readings"),

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from finger_common.condition_name import CASE_ALONE, check_condition_name, same_but_for_case
+from finger_common.condition_name import SPELLING_ALONE, check_condition_name, same_but_for_spelling
 from finger_common.errors import FingerError, InputError, ModelError, listed
 from finger_common.subject_code import may_be_one
 from finger_model.fem.area_model import FullOrderAreas
@@ -195,14 +195,16 @@ def _bag_of(record: Any) -> Path:
 
 
 def _check_spelling(records: Sequence[Any]) -> None:
-    """Raise InputError for subjects or conditions whose names differ in case alone."""
+    """Raise InputError for subjects or conditions whose names differ in case or spaces alone."""
     for kind in ("subject", "condition"):
         first_of: dict[str, Any] = {}
         for record in records:
             first_of.setdefault(getattr(record, kind) or "", record)
-        if twins := same_but_for_case(first_of):
+        if twins := same_but_for_spelling(first_of):
             one, other = (f"'{name}' in {_bag_of(first_of[name])}" for name in twins)
-            raise InputError(f"{kind}s {one} and {other} {CASE_ALONE}, or fit each of them alone")
+            raise InputError(
+                f"{kind}s {one} and {other} {SPELLING_ALONE}, or fit each of them alone"
+            )
 
 
 def _check_codes(subjects: Iterable[str]) -> None:

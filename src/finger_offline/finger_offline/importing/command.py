@@ -17,7 +17,7 @@ from typing import Any
 
 from finger_bag.cli import EXIT_CHECK_FAILS, AddCommand
 from finger_common.cli import add_settings, plain, settings_from
-from finger_common.condition_name import CASE_ALONE, check_condition_name, same_but_for_case
+from finger_common.condition_name import SPELLING_ALONE, check_condition_name, same_but_for_spelling
 from finger_common.errors import InputError, known_names
 from finger_common.files import exists, sha256_of_file
 from finger_common.progress import Stages
@@ -130,8 +130,8 @@ class _Names:
         group = (settings.subject, settings.condition)
         for text in group:
             self.named[text] = None
-            if twins := same_but_for_case(self.named):
-                raise InputError(f"{where}: '{twins[1]}' and '{twins[0]}' {CASE_ALONE}")
+            if twins := same_but_for_spelling(self.named):
+                raise InputError(f"{where}: '{twins[1]}' and '{twins[0]}' {SPELLING_ALONE}")
         if not numbered:
             settings = dataclasses.replace(settings, index=settings.index + self.numbers[group])
         self.numbers[group] += 1
