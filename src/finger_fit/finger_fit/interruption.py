@@ -13,6 +13,7 @@ from __future__ import annotations
 import os
 import signal
 import stat
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -68,31 +69,48 @@ def signals_taken(say: Callable[[str], None]) -> Iterator[list[int]]:
     """Let signals interrupt what is kept, and say so at once; gives the list of the one that did.
 
     The first signal counts. After it, Ctrl-C raises KeyboardInterrupt anywhere, and SIGTERM and
-    SIGHUP, which may come in pairs, do nothing. Signals that are ignored stay so.
+    SIGHUP, which may come in pairs, do nothing. Signals that are ignored stay so. One that compiled
+    code drops comes again (finger_common.cli), and is no second one.
     """
     before: dict[int, Any] = {}
     taken: list[int] = []
+    again = False
 
     def take(number: int, frame: Any) -> None:
+        nonlocal again
         if not _state.keeps:
             before[number](number, frame)
+        elif again:
+            again = False
+            if _state.waiting and _state.ends:
+                _state.waiting = False
+                raise KeyboardInterrupt
         elif taken:
             if number == signal.SIGINT:
                 raise KeyboardInterrupt
         else:
             taken.append(number)
-            name, again = signal.Signals(number).name, "Ctrl-C gives them up"
+            name, second = signal.Signals(number).name, "Ctrl-C gives them up"
             if number == signal.SIGINT:
-                name, again = "interrupted", "Ctrl-C again gives them up"
+                name, second = "interrupted", "Ctrl-C again gives them up"
             else:
                 end_workers()
                 _leave_closed_terminal()
             with suppress(OSError, RuntimeError):  # closed; or in the middle of another line
-                say(f"{name}: writing the results so far; {again}")
+                say(f"{name}: writing the results so far; {second}")
             _state.waiting = not _state.ends
             if _state.ends:
                 raise KeyboardInterrupt
 
+    hook = sys.unraisablehook
+
+    def dropped(lost: Any) -> None:
+        nonlocal again
+        if taken and isinstance(lost.exc_value, KeyboardInterrupt):
+            again = _state.waiting = True
+        hook(lost)
+
+    sys.unraisablehook = dropped
     if threading.current_thread() is threading.main_thread():
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             if callable(usual := signal.getsignal(number)):
@@ -106,6 +124,7 @@ def signals_taken(say: Callable[[str], None]) -> Iterator[list[int]]:
         raise
     finally:
         _state.waiting = False
+        sys.unraisablehook = hook
         for of, usual in before.items():
             if signal.getsignal(of) is take:
                 signal.signal(of, usual)

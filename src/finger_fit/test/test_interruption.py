@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 import termios
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from typing import Any
 import pytest
 
 import finger_fit.report as fit_report
-from finger_common.cli import run
+from finger_common.cli import DROPPED_AGAIN, run
 from finger_fit import cli
 from finger_fit.fingers import Fingers
 from finger_fit.study import bags, condition, study
@@ -148,6 +149,33 @@ def test_ctrl_c_in_a_cross_check_ends_the_fit(fit: Fit, capfd) -> None:
     fit.patch.setattr(condition, "search", search)
     assert fit.run("--optimizer", "pso", "de") == 130
     assert searches == ["pso", "de"] and fit.status == CUT
+
+
+def test_an_interruption_that_compiled_code_drops_is_no_second_one(fit: Fit, capfd) -> None:
+    """It comes again when the last stage is over."""
+
+    class Dropping:
+        def __del__(self) -> None:
+            signal.raise_signal(signal.SIGINT)
+
+    drops = [Dropping()]
+    sample, goodness = condition.bootstrap_sample, condition.goodness
+
+    def dropping(*arguments: Any) -> Any:
+        drops.clear()
+        return sample(*arguments)
+
+    def slow(*arguments: Any) -> Any:
+        time.sleep(3 * DROPPED_AGAIN)
+        return goodness(*arguments)
+
+    fit.patch.setattr(condition, "bootstrap_sample", dropping)
+    fit.patch.setattr(condition, "goodness", slow)
+    assert fit.run() == 130
+    out, err = capfd.readouterr()
+    assert err.splitlines().count(LINE) == 1 and fit.status == WHOLE
+    assert "what the report does not show was not computed" in out
+    assert fit.page.read_text() == "new"
 
 
 END = {signal.SIGTERM: 143, signal.SIGHUP: 129}
