@@ -21,7 +21,7 @@ import argparse
 import json
 import multiprocessing
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -29,6 +29,7 @@ from functools import partial
 import numba
 import numpy as np
 import yaml
+from scipy.optimize import minimize
 
 from finger_common.files import atomic_write
 from finger_common.flags import StateFlag
@@ -39,7 +40,7 @@ from finger_model.estimator.perturbed_finger import PerturbedFinger
 from finger_model.estimator.sensitivities import SHIFT_LIMITS
 from finger_model.fem.full_order import FullOrderModel
 from finger_model.finger import load_reduced
-from finger_model.finger_prior import NO_PEAK, PEAK_FORCES, FingerPrior
+from finger_model.finger_prior import AS_THE_MODEL, PRIOR_FORCES, FingerPrior
 from finger_model.parameter_sets import ParameterSets
 from finger_model.people import People, Person
 from finger_model.reduced import ReducedModel
@@ -67,11 +68,15 @@ ESTIMATED = (
     "model_area",
     "peak_pressure",
     "peak_pressure_stddev",
+    "indentation",
+    "indentation_stddev",
     "flags",
 )
 """Columns of the estimate that `run_session` gives."""
 EVERY = range(10)
 """Presses of a session."""
+TRUTHS = {"area": "truth", "peak_pressure": "peak_truth", "indentation": "indentation_truth"}
+"""Columns of the truth, by those of the estimate."""
 COUNTED_FORCE = 0.1
 """N; below it relative errors of the area are not counted."""
 
@@ -79,7 +84,7 @@ COUNTED_FORCE = 0.1
 @dataclass(frozen=True)
 class Press:
     """Truth of one press: time since the session's start (n,) in s, force (n,) in N, area (n,) in
-    m² and the press's own factor in it, peak pressure (n,) in Pa."""
+    m² and the press's own factor in it, peak pressure (n,) in Pa, indentation (n,) in m."""
 
     kind: str
     time: np.ndarray
@@ -87,6 +92,7 @@ class Press:
     area: np.ndarray
     gain: float
     peak: np.ndarray
+    indentation: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -161,10 +167,10 @@ def session_of(seed: int, index: int, full_order: bool = False, wide: bool = Fal
         constants = model.constants(person.material)
         state, tables, before = model.state_at_rest(constants), [], 0.0
         for time, force in zip(times, forces):
-            tables.append(model.run(constants, state, time, force, before)[:, [0, 2]])
+            tables.append(model.run(constants, state, time, force, before))
             before = time[-1]
     presses = [
-        Press(k, t, f, g * a[:, 0], float(g), a[:, 1] / g)
+        Press(k, t, f, g * a[:, 0], float(g), a[:, 2] / g, a[:, 1])
         for k, t, f, a, g in zip(kinds, times, forces, tables, gains)
     ]
     reading = np.nan if index % 2 else person.reading
@@ -174,13 +180,14 @@ def session_of(seed: int, index: int, full_order: bool = False, wide: bool = Fal
 def _full_order(
     person: Person, times: list[np.ndarray], forces: list[np.ndarray]
 ) -> list[np.ndarray]:
-    """Areas and peak pressures (n, 2) of the presses by the full-order model, every 20 ms."""
+    """Areas, indentations and peak pressures (n, 3) of the presses by the full-order model, every
+    20 ms."""
     stepper = FullOrderModel(person.geometry).start(person.material, 0.0)
     tables = []
     for time, force in zip(times, forces):
         knots = np.unique(np.append(np.arange(0, len(time), 2), len(time) - 1))
         found = [stepper.step(float(time[i]), float(force[i])) for i in knots]
-        columns = [p.area for p in found], [p.peak_pressure for p in found]
+        columns = np.transpose([(p.area, p.indentation, p.peak_pressure) for p in found])
         tables.append(np.column_stack([np.interp(time, time[knots], c) for c in columns]))
     return tables
 
@@ -194,8 +201,9 @@ def run_session(
     """Estimates of each press whose area a camera sees for the presses in `cameras`.
 
     prior: None for the shipped one; sample: s. Columns (n,) of the samples in contact: truth, area,
-    area_stddev, model_area, peak_truth, peak_pressure, peak_pressure_stddev, force, held (the
-    camera's newest usable area, NaN before the first), flags.
+    area_stddev, model_area, peak_truth, peak_pressure, peak_pressure_stddev, indentation_truth,
+    indentation, indentation_stddev, force, held (the camera's newest usable area, NaN before the
+    first), flags.
     """
     rng = np.random.default_rng(session.seed)
     model = load_reduced(POPULATION if session.wide else "")
@@ -230,6 +238,7 @@ def run_session(
             **{name: block.column(name)[use] for name in ESTIMATED},
             "truth": area[use],
             "peak_truth": np.interp(time, press.time, press.peak)[use],
+            "indentation_truth": np.interp(time, press.time, press.indentation)[use],
             "force": force[use],
             "held": held[use],
             "at_once": at_once[use],
@@ -298,18 +307,25 @@ def derive_prior(seed: int, number: int) -> FingerPrior:
 
 def derive_range(prior: FingerPrior, seed: int, number: int) -> FingerPrior:
     """A prior with what its five numbers leave over a wide range of forces: the walk of the area,
-    and the peak over the mean pressure, as live estimates of so many fingers need them."""
+    the peak over the mean pressure and the indentation, as live estimates of so many fingers need
+    them."""
     sessions = wide_sessions(seed, range(number))
+    names = ("peak_mean", "peak_sd", "indentation_mean", "indentation_sd")
+    bare = replace(prior, **dict.fromkeys(names, AS_THE_MODEL))
     for walk in WALKS:
-        prior = replace(prior, walk_sd=round(float(walk), 3), peak_mean=NO_PEAK, peak_sd=NO_PEAK)
+        prior = replace(bare, walk_sd=round(float(walk), 3))
         found = [p for s in sessions for p in run_session(s, EVERY, prior, KNOT)]
         share = np.mean(np.concatenate([covered(press)[loosened(press)] for press in found]))
         print(f"walk_sd {walk:.2f}: 95 % interval covers {share:.3f} of the loosened grips")
         if share >= LEAST_COVERED:
             break
     unseen = [p for s in sessions for p in run_session(s, range(0), prior, KNOT)]
-    mean, deviation = peak_by_force(found, unseen)
-    return replace(prior, peak_mean=mean, peak_sd=deviation)
+    values = [
+        values
+        for errors in (_peak_errors, _indentation_errors)
+        for values in by_force(errors, found, unseen)
+    ]
+    return replace(prior, **dict(zip(names, values)))
 
 
 def wide_sessions(seed: int, indices: range) -> list[Session]:
@@ -324,34 +340,55 @@ def loosened(press: dict[str, np.ndarray]) -> np.ndarray:
     return was_firm & (press["force"] > LOOSE_FORCES[0]) & (press["force"] < LOOSE_FORCES[1])
 
 
-def peak_by_force(
+def by_force(
+    errors: Callable[[dict[str, np.ndarray]], tuple[np.ndarray, np.ndarray, np.ndarray]],
     *runs: list[dict[str, np.ndarray]],
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Mean and deviation (n,) at PEAK_FORCES of ln (true peak over the estimated one), in presses
-    of a prior without them, by least squares: beside the stated deviation of the area, as large as
-    each of the runs needs it."""
-    columns = [[np.concatenate(c) for c in zip(*map(_peak_errors, run))] for run in runs]
+    """Mean and deviation (n,) at PRIOR_FORCES of ln (truth over the estimate), in presses of a
+    prior without them: the mean by least squares, the deviation by the likelihood beside that which
+    is stated without it, as large as each of the runs needs it. errors: `_peak_errors` or
+    `_indentation_errors`."""
+    columns = [[np.concatenate(c) for c in zip(*map(errors, run))] for run in runs]
     force, off, _ = (np.concatenate(column) for column in zip(*columns))
     mean = np.linalg.lstsq(_hats(force), off, rcond=None)[0]
     deviation = np.zeros(len(mean))
     for force, off, variance in columns:
-        left = (off - _hats(force) @ mean) ** 2 - variance
-        own = np.linalg.lstsq(_hats(force), left, rcond=None)[0]
-        deviation = np.maximum(deviation, np.sqrt(np.maximum(own, 0.0)))
+        hats = _hats(force)
+        least = partial(_unlikely, hats, (off - hats @ mean) ** 2, variance)
+        own = minimize(least, np.full(len(mean), 0.15), bounds=len(mean) * [(0.0, 1.0)]).x
+        deviation = np.maximum(deviation, own)
     return tuple(mean.round(3).tolist()), tuple(deviation.round(3).tolist())
 
 
+def _unlikely(
+    hats: np.ndarray, square: np.ndarray, variance: np.ndarray, deviation: np.ndarray
+) -> float:
+    """Logarithm of the likelihood, times −2/n, of squared errors (n,) that have a variance (n,) and
+    beside it the deviation (5,) at PRIOR_FORCES."""
+    total = variance + (hats @ deviation) ** 2
+    return float(np.mean(np.log(total) + square / total))
+
+
 def _hats(force: np.ndarray) -> np.ndarray:
-    """Weights (n, 5) of the values at PEAK_FORCES in that at each force (n,)."""
-    knots = np.log(PEAK_FORCES)
+    """Weights (n, 5) of the values at PRIOR_FORCES in that at each force (n,)."""
+    knots = np.log(PRIOR_FORCES)
     return np.column_stack([np.interp(np.log(force), knots, own) for own in np.eye(len(knots))])
 
 
 def _peak_errors(press: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Force (n,) of the counted samples, ln (true peak over the estimate), its stated variance."""
+    """Force (n,) of the counted samples, ln (true peak over the estimate), stated variance of the
+    area."""
     use = press["force"] > COUNTED_FORCE
     relative = press["area_stddev"][use] / press["area"][use]
     off = np.log(press["peak_truth"][use] / press["peak_pressure"][use])
+    return press["force"][use], off, np.log1p(relative**2)
+
+
+def _indentation_errors(press: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """As `_peak_errors`, of the indentation and with its own stated variance."""
+    use = press["force"] > COUNTED_FORCE
+    relative = press["indentation_stddev"][use] / press["indentation"][use]
+    off = np.log(press["indentation_truth"][use] / press["indentation"][use])
     return press["force"][use], off, np.log1p(relative**2)
 
 
@@ -361,14 +398,13 @@ def rms(values: np.ndarray) -> float:
 
 
 def covered(press: dict[str, np.ndarray], name: str = "area") -> np.ndarray:
-    """Whether the 95 % interval of each sample (n,) holds the true area, or peak pressure."""
-    truth = press["truth" if name == "area" else "peak_truth"]
-    return np.abs(press[name] - truth) <= 1.96 * press[name + "_stddev"]
+    """Whether the 95 % interval of each sample (n,) holds the truth; name: of TRUTHS."""
+    return np.abs(press[name] - press[TRUTHS[name]]) <= 1.96 * press[name + "_stddev"]
 
 
 def wide_table(seed: int, indices: range) -> dict[str, float]:
-    """Coverages (%) of area and peak pressure by force, with camera and without, over fingers whose
-    presses go to WIDE_FORCES; their relative errors (RMS)."""
+    """Coverages (%) of area, peak pressure and indentation by force, with camera and without, over
+    fingers whose presses go to WIDE_FORCES; their relative errors (RMS)."""
     figures = {}
     sessions = wide_sessions(seed, indices)
     for label, cameras in (("camera", EVERY), ("none", range(0))):
@@ -378,7 +414,7 @@ def wide_table(seed: int, indices: range) -> dict[str, float]:
             for low, high in RANGES
         ]
         parts.append(("loosened", [loosened(press) for press in presses]))
-        for name, truth in (("area", "truth"), ("peak_pressure", "peak_truth")):
+        for name, truth in TRUTHS.items():
             for part, uses in parts:
                 inside = [covered(press, name)[use] for press, use in zip(presses, uses)]
                 off = [(p[name] / p[truth] - 1.0)[use] for p, use in zip(presses, uses)]
@@ -491,7 +527,9 @@ def main() -> int:
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--prior", action="store_true", help="print the prior of the estimator")
     parser.add_argument("-o", "--output", default="")
-    parser.add_argument("--range", action="store_true", help="print walk_sd and peak of the prior")
+    parser.add_argument(
+        "--range", action="store_true", help="print walk_sd, peak and indentation of the prior"
+    )
     parser.add_argument("--wide", action="store_true", help="presses to 9 N: coverages by force")
     args = parser.parse_args()
     if args.range:

@@ -11,7 +11,7 @@ import pytest
 
 from finger_model.estimator import ContactEstimator
 from finger_model.finger import load_reduced
-from finger_model.finger_prior import PEAK_FORCES, FingerPrior
+from finger_model.finger_prior import PRIOR_FORCES, FingerPrior
 from finger_model.parameter_sets import ParameterSets
 from finger_model.people import People
 from finger_model.reduced.model import POPULATION
@@ -100,25 +100,44 @@ def test_the_peak_pressure_is_as_uncertain_as_fingers_differ_in_it(script: Any) 
     assert prior is not None
     data = prior.to_dict()
     same = FingerPrior.parse({**data, "peak_mean": 0.149, "peak_sd": 0.186}, "an earlier file")
-    assert same.peak_mean == len(PEAK_FORCES) * (0.149,)
+    assert same.peak_mean == len(PRIOR_FORCES) * (0.149,)
     assert FingerPrior.parse(data, "the shipped file") == prior
     for own in (prior, same):
         model = load_reduced(POPULATION)
         estimator = ContactEstimator(model, ParameterSets.default().with_prior(own, model.geometry))
         for k in range(350):
             estimate = estimator.add_wrench(k * 10**7, (0.0, 0.0, -0.01 * (k + 1)))[0]
-            near = np.interp(math.log(max(0.01 * (k + 1), 0.15)), np.log(PEAK_FORCES), own.peak_sd)
+            near = np.interp(math.log(max(0.01 * (k + 1), 0.15)), np.log(PRIOR_FORCES), own.peak_sd)
             if k > 10:
                 stated = estimate.peak_pressure_stddev / estimate.peak_pressure
                 assert stated**2 > near**2 + (estimate.area_stddev / estimate.area) ** 2
 
 
+@pytest.mark.parametrize("cameras", [range(10), range(0)])
+def test_the_indentation_is_neither_too_small_nor_too_certain(script: Any, cameras: range) -> None:
+    """Of fingers that nobody measured; each counts once, by the median of its samples."""
+    errors, scores = [], []
+    for index in range(16):
+        presses = list(script.run_session(script.session_of(5, index), cameras, None, script.KNOT))
+        error, score = [], []
+        for press in presses:
+            firm = press["force"] > 0.3
+            found, truth = press["indentation"][firm], press["indentation_truth"][firm]
+            error.append(np.log(found / truth))
+            score.append((found - truth) / press["indentation_stddev"][firm])
+        errors.append(np.median(np.concatenate(error)))
+        scores.append(np.median(np.concatenate(score)))
+    assert abs(np.mean(errors)) < 0.08
+    assert script.rms(np.array(scores)) < 1.2
+
+
 def test_intervals_hold_over_a_wide_range_of_forces(script: Any) -> None:
-    """Area after a firm grip that was loosened, and peak pressure at every force."""
+    """Area after a firm grip that was loosened, and peak pressure and indentation at any force."""
     found = script.wide_table(3, range(10))
     covers = "95 % interval covers (%)"
     assert 90.0 <= found[f"camera: area, loosened: {covers}"]
     for label in ("camera", "none"):
         for low, high in script.RANGES:
-            assert 85.0 <= found[f"{label}: peak_pressure, {low:g} to {high:g} N: {covers}"]
+            for name in ("peak_pressure", "indentation"):
+                assert 85.0 <= found[f"{label}: {name}, {low:g} to {high:g} N: {covers}"]
         assert found[f"{label}: peak_pressure, 3 to 8 N: error, RMS (%)"] < 70.0

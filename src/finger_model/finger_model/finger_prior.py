@@ -13,9 +13,11 @@
       reading_sd: 3.0     # a.u., of a reading
       walk_sd: 0.08       # of ln area, by which it strays over an e-fold of force above 1.35 N,
                           # beside these five; may be absent
-      peak_mean: [0, …]   # (5,) of ln (peak over mean pressure), less the model's, at PEAK_FORCES;
+      peak_mean: [0, …]   # (5,) of ln (peak over mean pressure), less the model's, at PRIOR_FORCES;
                           # or one number for all forces; may be absent
       peak_sd: [0.1, …]   # of the same
+      indentation_mean: [0, …]  # (5,) of ln indentation, less that which follows from the areas,
+      indentation_sd: [0.1, …]  # likewise
 
 gain and slope: of ln A over ln F; stiffness, time, creep: of the material parameters, see
 `estimator.sensitivities`. Without this key the sets' covariances and the estimator's settings
@@ -35,10 +37,11 @@ from finger_common.files import number
 
 COORDINATES = ("gain", "slope", "stiffness", "time", "creep")
 
-PEAK_FORCES = (0.15, 0.5, 1.35, 3.5, 9.0)
-"""N, at which the peak over mean pressure is given; linear in ln F between them."""
-NO_PEAK = (0.0,) * len(PEAK_FORCES)
-"""Of a finger whose peak is the model's."""
+PRIOR_FORCES = (0.15, 0.5, 1.35, 3.5, 9.0)
+"""N, at which peak over mean pressure and indentation are given; linear in ln F between them."""
+AS_THE_MODEL = (0.0,) * len(PRIOR_FORCES)
+"""Of a finger whose peak or indentation is the model's."""
+_BY_FORCE = ("peak_mean", "peak_sd", "indentation_mean", "indentation_sd")
 
 
 @dataclass(frozen=True)
@@ -51,8 +54,10 @@ class FingerPrior:
     moisture_sd: float
     reading_sd: float
     walk_sd: float = 0.0
-    peak_mean: tuple[float, ...] = NO_PEAK
-    peak_sd: tuple[float, ...] = NO_PEAK
+    peak_mean: tuple[float, ...] = AS_THE_MODEL
+    peak_sd: tuple[float, ...] = AS_THE_MODEL
+    indentation_mean: tuple[float, ...] = AS_THE_MODEL
+    indentation_sd: tuple[float, ...] = AS_THE_MODEL
 
     def to_dict(self) -> dict[str, Any]:
         """As the key `prior` of parameters.yaml."""
@@ -67,9 +72,9 @@ class FingerPrior:
 
     def _later(self) -> dict[str, Any]:
         """What earlier files do not have."""
-        peaks = {"peak_mean": self.peak_mean, "peak_sd": self.peak_sd}
         found: dict[str, Any] = {"walk_sd": self.walk_sd} if self.walk_sd else {}
-        return found | {name: list(values) for name, values in peaks.items() if any(values)}
+        by_force = {name: list(getattr(self, name)) for name in _BY_FORCE}
+        return found | {name: values for name, values in by_force.items() if any(values)}
 
     @classmethod
     def parse(cls, data: Any, where: str) -> FingerPrior:
@@ -98,11 +103,9 @@ class FingerPrior:
             number(data, name, where) for name in ("misfit_sd", "moisture_sd", "reading_sd")
         )
         walk_sd = number(data, "walk_sd", where) if "walk_sd" in data else 0.0
-        peak_mean, peak_sd = (
-            _by_force(data, name, where) if name in data else NO_PEAK
-            for name in ("peak_mean", "peak_sd")
-        )
-        if min(misfit_sd, moisture_sd, reading_sd, walk_sd, *peak_sd) < 0:
+        by_force = {name: _by_force(data, name, where) for name in _BY_FORCE if name in data}
+        of_forces = [v for name, values in by_force.items() if name.endswith("_sd") for v in values]
+        if min(misfit_sd, moisture_sd, reading_sd, walk_sd, *of_forces) < 0:
             raise InputError(f"{where}: a deviation of 'prior' is negative; correct it")
         return cls(
             tuple(mean.tolist()),
@@ -111,17 +114,16 @@ class FingerPrior:
             moisture_sd,
             reading_sd,
             walk_sd,
-            peak_mean,
-            peak_sd,
+            **by_force,
         )
 
 
 def _by_force(data: dict[str, Any], key: str, where: str) -> tuple[float, ...]:
-    """Numbers at PEAK_FORCES, where one number is that of all of them."""
-    values, n = data[key], len(PEAK_FORCES)
+    """Numbers at PRIOR_FORCES, where one number is that of all of them."""
+    values, n = data[key], len(PRIOR_FORCES)
     if not isinstance(values, list):
         values = n * [values]
     if len(values) != n:
-        forces = ", ".join(f"{force:g}" for force in PEAK_FORCES)
+        forces = ", ".join(f"{force:g}" for force in PRIOR_FORCES)
         raise InputError(f"{where}: '{key}' needs one number, or {n}: at {forces} N; correct it")
     return tuple(number({key: value}, key, where) for value in values)

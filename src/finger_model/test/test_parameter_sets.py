@@ -177,6 +177,12 @@ _DEVIATIONS = "sd: 0.03, drift_sd: 0.006, slope_sd: 0.008"
         ("\nsets:", "\nset_of: x\nsets:", "unknown key 'set_of'"),
         ("peak_sd: [0.147,", "peak_sd: [-0.1,", "deviation of 'prior' is negative"),
         ("peak_sd: [0.147,", "peak_sd: [", "'peak_sd' needs one number, or 5"),
+        (
+            "indentation_mean: [",
+            "indentation_mean: [0, ",
+            "'indentation_mean' needs one number, or",
+        ),
+        ("indentation_sd: [0.029,", "indentation_sd: [-0.1,", "deviation of 'prior' is negative"),
         ("walk_sd: 0.12", "walk_sd: -0.1", "deviation of 'prior' is negative"),
         ("\nsets:", "\npresses: 9\nsets:", "'presses' needs"),
         (

@@ -104,6 +104,7 @@ class FilterState:
         noise["drift_variance"] = prior.drift_sd**2
         noise["walk_variance"] = prior.walk_sd**2
         config["peak"] = prior.peak
+        config["indentation"] = prior.indentation
         own = self.model.rms_error_of(selected.parameters)
         errors = own, prior.misfit_sd, self.pose_correction.area_sd
         noise["model_variance"] = sum(error**2 for error in errors)

@@ -14,7 +14,7 @@ from finger_common.errors import InputError, check_type
 from finger_common.flags import StateFlag
 from finger_common.moisture import MOISTURE_RANGE
 
-from ..finger_prior import NO_PEAK
+from ..finger_prior import AS_THE_MODEL
 from ..laws import MaxwellLaw
 from ..parameter_sets import InterpolatedParameters, ParameterSets
 from ..reduced.model import ReducedModel
@@ -40,8 +40,8 @@ class SelectedPrior:
     mean (5,), covariance (5, 5) of the finger states; moisture_direction (5,): what one standard
     deviation of the population in moisture does to them; moisture_variance: of the reading in use,
     over the population's; moisture_wander: its growth in 1/s; misfit_sd: of ln A; contact_sd,
-    slope_sd, drift_sd: of a contact, for scale 1 of the filters; walk_sd, peak (2, n): as
-    `FingerPrior` has them.
+    slope_sd, drift_sd: of a contact, for scale 1 of the filters; walk_sd, peak (2, n), indentation
+    (2, n): as `FingerPrior` has them.
     """
 
     mean: np.ndarray
@@ -54,7 +54,8 @@ class SelectedPrior:
     slope_sd: float
     drift_sd: float
     walk_sd: float = 0.0
-    peak: tuple[tuple[float, ...], tuple[float, ...]] = NO_PEAK, NO_PEAK
+    peak: tuple[tuple[float, ...], tuple[float, ...]] = AS_THE_MODEL, AS_THE_MODEL
+    indentation: tuple[tuple[float, ...], tuple[float, ...]] = AS_THE_MODEL, AS_THE_MODEL
 
 
 @dataclass(frozen=True)
@@ -170,6 +171,7 @@ def _prior(
         *contact,
         known.walk_sd,
         (known.peak_mean, known.peak_sd),
+        (known.indentation_mean, known.indentation_sd),
     )
 
 

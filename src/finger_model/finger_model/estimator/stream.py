@@ -22,7 +22,7 @@ from finger_common.flags import StateFlag
 from .. import force_noise
 from ..compiled import njit
 from ..delayed import REMEMBERED
-from ..finger_prior import PEAK_FORCES
+from ..finger_prior import PRIOR_FORCES
 from ..pose.correction import LARGEST_DEPTH
 from ..reduced import kernels as rk
 from ..sensor_air import SILENCE
@@ -54,7 +54,7 @@ SHORT_REST = 0.1
 SMALLEST_AREA = 5e-6
 """m²; below it a measured area is not compared with the model's."""
 
-_LOG_PEAK_FORCES = np.log(PEAK_FORCES)
+_LOG_PRIOR_FORCES = np.log(PRIOR_FORCES)
 
 CONFIGURATION = np.dtype(
     [
@@ -72,8 +72,10 @@ CONFIGURATION = np.dtype(
         ("moisture_stamp", "i8"),  # ns
         ("flags", "i8"),  # of moisture and parameters
         ("noise", area_filter.FILTER_NOISE),
-        ("peak", "f8", (2, len(PEAK_FORCES))),  # mean and deviation of ln (peak over mean pressure)
-        # over the model's, at PEAK_FORCES
+        ("peak", "f8", (2, len(PRIOR_FORCES))),  # mean and deviation of ln (peak over mean
+        # pressure) over the model's, at PRIOR_FORCES
+        ("indentation", "f8", (2, len(PRIOR_FORCES))),  # the same of the indentation over that
+        # which follows from the area
         ("pose", "f8", (4,)),  # see _pose_gain; zeros for a round pad on a level plate
     ]
 )
@@ -295,11 +297,11 @@ def _pose_gain(config, area):
 
 
 @njit(cache=True)
-def _peak_of(config, force):
-    """Mean and deviation of ln (peak over mean pressure) over the model's at a force (N)."""
-    phi = math.log(max(force, PEAK_FORCES[0]))
-    mean = np.interp(phi, _LOG_PEAK_FORCES, config.peak[0])
-    return mean, np.interp(phi, _LOG_PEAK_FORCES, config.peak[1])
+def _at_force(values, force):
+    """Mean and deviation at a force (N) of config's peak or indentation `values` (2, n)."""
+    phi = math.log(max(force, PRIOR_FORCES[0]))
+    mean = np.interp(phi, _LOG_PRIOR_FORCES, values[0])
+    return mean, np.interp(phi, _LOG_PRIOR_FORCES, values[1])
 
 
 @njit(cache=True)
@@ -518,7 +520,7 @@ def _write_contact(config, state, finger, normal_force, limit, stamp, row):
     variance += of_pressure
     row.mean_pressure = pressure
     row.mean_pressure_stddev = pressure * area_filter.deviation_of(variance)
-    peak_mean, peak_sd = _peak_of(config, normal_force)
+    peak_mean, peak_sd = _at_force(config.peak, normal_force)
     row.peak_pressure = finger.peak_pressure * math.exp(peak_mean - error) / own_gain
     if normal_force > limit:
         # The model's force ends there; as the mean pressure does, it grows on with the force.
@@ -536,8 +538,9 @@ def _write_contact(config, state, finger, normal_force, limit, stamp, row):
     deeper, spread = area_filter.estimate(filters, noise, h, offset, stamp, False)
     h[area_filter.TISSUE] = h[area_filter.MOISTURE] = 0.0
     shared, _ = area_filter.estimate(filters, noise, h, 0.0, stamp, False)
-    spread += shared * shared + INDENTATION_DEVIATION * INDENTATION_DEVIATION
-    row.indentation = finger.indentation * math.exp(deeper)
+    mean, sd = _at_force(config.indentation, normal_force)
+    spread += shared * shared + INDENTATION_DEVIATION * INDENTATION_DEVIATION + sd * sd
+    row.indentation = finger.indentation * math.exp(mean + deeper)
     row.indentation_stddev = row.indentation * area_filter.deviation_of(spread)
 
 
@@ -747,9 +750,9 @@ def predicted(model, scratch, configuration, states, time, force, table):
             error, _ = area_filter.estimate(filters, noise, h, offset, filters.stamp, True)
             own_gain, _ = _pose_gain(config, found[i, 0])
             table[i, 0] *= own_gain * math.exp(error)
-            table[i, 2] *= math.exp(_peak_of(config, force[i])[0] - error) / own_gain
+            table[i, 2] *= math.exp(_at_force(config.peak, force[i])[0] - error) / own_gain
             sensitivity = found[i, 3 + sensitivities.DIRECTIONS :]
             area_filter.observation_row(noise, force[i], limit, sensitivity, gain, h)
             offset = _offset(state, sensitivity)
             deeper, _ = area_filter.estimate(filters, noise, h, offset, filters.stamp, False)
-            table[i, 1] *= math.exp(deeper)
+            table[i, 1] *= math.exp(_at_force(config.indentation, force[i])[0] + deeper)
