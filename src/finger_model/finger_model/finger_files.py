@@ -11,6 +11,7 @@ from collections.abc import Callable
 from .estimator import ContactEstimator
 from .estimator.parameter_selection import check_sets
 from .finger import load_reduced, model_for
+from .geometry import StatedGeometry
 from .parameter_sets import ParameterSets
 from .reduced.model import ReducedModel
 from .subjects import find_subject
@@ -34,6 +35,8 @@ class FingerFiles:
         self._subjects_folder = subjects_folder
         self._warn = warn
         self._model = load_reduced(*self._files)
+        self.stated = StatedGeometry.load(geometry_file) if geometry_file else None
+        """What `geometry_file` states."""
 
     def named_sets(self, path: str) -> ParameterSets:
         """Those of a `parameter_file`, or the shipped ones; raises InputError too where another

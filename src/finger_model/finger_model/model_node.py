@@ -279,7 +279,8 @@ class ModelNode(ManagedNode):
 
     def _new_estimator(self, sets: ParameterSets) -> ContactEstimator:
         assert self._files is not None
-        return ContactEstimator(self._files.model_of(sets), sets, self.settings(EstimatorSettings))
+        settings = self.settings(EstimatorSettings)
+        return ContactEstimator(self._files.model_of(sets), sets, settings, self._files.stated)
 
     def _new_run(self, sets: ParameterSets) -> Run:
         pose = self.settings(PoseSettings) if self.values["contact_shape"] else None
@@ -543,7 +544,9 @@ class ModelNode(ManagedNode):
     ) -> None:
         """A finger that was not seen before, with the reading there is, from the next sample on,
         whose event names sets and model; the caller holds the lock."""
-        estimator = ContactEstimator(model, sets, self.settings(EstimatorSettings))
+        assert self._files is not None
+        settings = self.settings(EstimatorSettings)
+        estimator = ContactEstimator(model, sets, settings, self._files.stated)
         estimator.go_on_from(run.estimator)
         if self._reading is not None:
             estimator.add_moisture(*self._reading)

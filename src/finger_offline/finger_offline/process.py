@@ -38,6 +38,7 @@ from finger_model.estimator import (
 )
 from finger_model.estimator.estimate import ESTIMATE_DTYPE
 from finger_model.finger import load_for
+from finger_model.geometry import StatedGeometry
 from finger_model.messages import (
     NOT_WHOLE,
     PLATE,
@@ -196,7 +197,8 @@ def _estimator(
         if population:
             model = load_population(model.geometry)
     values = {"normal_axis": options.axis, **options.estimator}
-    estimator = ContactEstimator(model, sets, EstimatorSettings.from_mapping(values))
+    stated = StatedGeometry.load(options.geometry_file) if options.geometry_file else None
+    estimator = ContactEstimator(model, sets, EstimatorSettings.from_mapping(values), stated)
     if events is not None:
         estimator.models = {own.hash: own for own in (model, *events.models.values())}
     return estimator

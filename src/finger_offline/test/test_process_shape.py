@@ -112,6 +112,19 @@ def test_outline_and_torque_tell_aspect_and_tilt(bag: Path, tmp_path: Path) -> N
     assert shape.center.y == pytest.approx(area.centroid.y, abs=0.1e-3)
 
 
+def test_lengths_that_are_not_stated_make_the_tilt_less_certain(bag: Path, tmp_path: Path) -> None:
+    found = []
+    for stated in ("{}", "{pad_semi_axis_radial: 0, pad_semi_axis_axial: 0}"):
+        finger, out = tmp_path / "finger.yaml", tmp_path / f"out{len(stated)}"
+        finger.write_text(f"deviations: {stated}\n")
+        options = ["--shape", "--set", f"sensor_depth={DEPTH}", "--set", "pad_place_sd=2e-4"]
+        options += ["--geometry", str(finger)]
+        assert run(command, ["process", str(bag), "-o", str(out), *options]) == 0
+        found.append(last(out, "/finger/contact_shape"))
+    assert found[0].pitch_stddev > 1.5 * found[1].pitch_stddev
+    assert found[1].flags == 0
+
+
 def test_a_finger_whose_place_is_not_known_has_an_uncertain_tilt(bag: Path, tmp_path: Path) -> None:
     assert run(command, ["process", str(bag), "-o", str(tmp_path / "out"), "--shape"]) == 0
     shape = last(tmp_path / "out", "/finger/contact_shape")

@@ -46,10 +46,12 @@ from finger_common.errors import InputError, check_type
 from finger_common.flags import StateFlag
 from finger_common.stamps import NANOSECONDS, nanoseconds, stamp_array, whole_stamp
 
+from ..geometry import StatedGeometry
 from ..history import ContactHistory
 from ..laws import MaxwellLaw
 from ..parameter_sets import ParameterSets
 from ..pose.correction import PoseCorrection
+from ..pose.lengths import stretch_sd
 from ..reduced.model import ReducedModel
 from . import prediction
 from .estimate import ESTIMATE_DTYPE, ContactEstimate, EstimateBlock
@@ -75,12 +77,12 @@ class ContactEstimator:
     """Contact state from forces, corrected by measured areas; parameters follow moisture.
 
     model: the reduced model; parameter_sets: None for the shipped ones; settings: None for the
-    defaults. `counters` counts duplicates, out_of_order, resets, late_areas, late_moistures,
-    flagged_areas, duplicate_areas; `fingers` counts starts and resets, after which the finger is
-    one that was not seen before, and `surfaces` changes of the surface alone. `parameter_sets` have
-    the lengths of the model's finger, unless it is the default one. `models` has those that a
-    recorded start may change to, by their hash. Raises InputError for parameter sets of another
-    geometry or law than the model's.
+    defaults; stated: what a geometry.yaml states of a finger, None without. `counters` counts
+    duplicates, out_of_order, resets, late_areas, late_moistures, flagged_areas, duplicate_areas;
+    `fingers` counts starts and resets, after which the finger is one that was not seen before, and
+    `surfaces` changes of the surface alone. `parameter_sets` have the lengths of the model's
+    finger, unless it is the default one. `models` has those that a recorded start may change to, by
+    their hash. Raises InputError for parameter sets of another geometry or law than the model's.
     """
 
     def __init__(
@@ -88,6 +90,7 @@ class ContactEstimator:
         model: ReducedModel,
         parameter_sets: ParameterSets | None = None,
         settings: EstimatorSettings | None = None,
+        stated: StatedGeometry | None = None,
     ) -> None:
         check_type(model, ReducedModel, "model")
         self.model = model
@@ -100,7 +103,8 @@ class ContactEstimator:
         self.counters: Counter[str] = Counter()
         self.fingers = self.surfaces = 0
         self._inputs = InputQueue(self.counters)
-        self._state = FilterState(model)
+        self._stated = stated
+        self._state = self._fresh_state()
         self._events: list[EstimatorEvent] = []
         self._jumps: set[int] = set()
         self._after_jump: list[EstimatorEvent] = []
@@ -112,6 +116,10 @@ class ContactEstimator:
         self._one_force = np.zeros((1, 3))
         self._configure()
         self._state.reset()
+
+    def _fresh_state(self) -> FilterState:
+        """Of the model's finger."""
+        return FilterState(self.model, stretch_sd(self.model.geometry, self._stated))
 
     # Inputs ----------------------------------------------------------------------------------
 
@@ -454,7 +462,7 @@ class ContactEstimator:
             if event.type != EventType.START:
                 return  # Of a finger that is not in use; its start tells all of it.
             self.model = self.models[event.model_hash]
-            self._state = FilterState(self.model)
+            self._state = self._fresh_state()
             self._selected_for = self._prepared = None
         self.settings = event.estimator_settings()
         new_sets = self._take_over_sets(event.parameter_sets)

@@ -25,10 +25,12 @@ from .settings import EstimatorSettings
 
 
 class FilterState:
-    """One finger: state of the reduced model, filters, past samples; and the configuration."""
+    """One finger: state of the reduced model, filters, past samples; and the configuration.
+    stretch_sd: as for `PoseCorrection`."""
 
-    def __init__(self, model: ReducedModel) -> None:
+    def __init__(self, model: ReducedModel, stretch_sd: float) -> None:
         self.model = model
+        self._stretch_sd = stretch_sd
         self.configuration = np.zeros(1, stream.CONFIGURATION)
         self.state = np.zeros(1, stream.STATE)
         none = np.zeros(0)
@@ -65,7 +67,9 @@ class FilterState:
         """What corrects the area of the round pad on a level plate, with the pose of the settings
         and the parameters in use. The same object until one of them changes."""
         if self._correction is None:
-            self._correction = PoseCorrection(self.model.geometry, self._pose, self._skin_ratio)
+            self._correction = PoseCorrection(
+                self.model.geometry, self._pose, self._skin_ratio, self._stretch_sd
+            )
         return self._correction
 
     def _take_pose(self, skin_ratio: float) -> int:

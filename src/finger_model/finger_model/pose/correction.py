@@ -108,10 +108,13 @@ def _size(vector: np.ndarray) -> float:
 class PoseCorrection:
     """Correction for one finger and one pose; `area_polynomial` (3,): coefficients of 1, s, s² in
     ln(area over that of the round pad on a level plate). skin_ratio: of the finger's material, see
-    `ConstitutiveLaw.skin_ratio`."""
+    `ConstitutiveLaw.skin_ratio`. stretch_sd: what the lengths leave unknown, see `lengths`."""
 
-    def __init__(self, geometry: Geometry, pose: Pose, skin_ratio: float) -> None:
+    def __init__(
+        self, geometry: Geometry, pose: Pose, skin_ratio: float, stretch_sd: float = 0.0
+    ) -> None:
         self.geometry, self.pose, self.skin_ratio = geometry, pose, skin_ratio
+        self.stretch_sd = stretch_sd
         self.touch = first_touch(geometry, pose)
         self.half_width = geometry.pad_semi_axis_radial
         of_terms = outputs(layers(), inputs(geometry, skin_ratio, pose, self.touch))

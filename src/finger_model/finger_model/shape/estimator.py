@@ -13,9 +13,11 @@ among the unknowns, so that no number of measurements makes the tilt surer than 
 - the place of the pad's centre over the plate (2);
 - the correction's errors of the ellipse's shape (2) and of the centres (2), which are others at
   another depth of the contact;
-- what is left of the torque's zero (2), and the place of its origin (2).
+- what is left of the torque's zero (2), and the place of its origin (2);
+- logarithm of how much farther a tilt moves the contact of this finger than the lengths say.
 
-All but the aspect wander about what is known before, as far as its standard deviation lets them.
+All but the aspect wander about what is known before, as far as its standard deviation lets them;
+the last one stays for a contact.
 Measurements that are not as expected, one after the other, quicken that.
 """
 
@@ -42,12 +44,14 @@ from .torque_zero import TorqueZero
 
 ASPECT, PITCH, ROLL = 0, 1, 2
 PLACE, SHAPE, CENTER, ZERO, ORIGIN = (slice(k, k + 2) for k in range(3, 13, 2))
-UNKNOWNS = 13
+STRETCH = 13
+UNKNOWNS = 14
 STEPS = np.array([0.02, 0.01, 0.01])
 """Of the derivatives by the logarithm of the aspect, pitch and roll."""
 
 SHAPE_SD, PLACE_SD = 0.04, 0.12e-3
-"""Errors of the correction itself: of ln(a/b), and of the centres (m)."""
+"""Errors of the correction itself: of ln(a/b), and of the centres (m). What the lengths leave
+unknown of the centres is `PoseCorrection.stretch_sd`; ln(a/b) hardly depends on them."""
 
 LASTING = 0.05
 """Change of the contact's depth (`PoseCorrection.depth`) over which such an error stays."""
@@ -173,9 +177,12 @@ class PoseEstimator:
         place, origin = settings.pad_place_sd, math.hypot(settings.sensor_place_sd, PLACE_SD)
         sds = settings.tilt_sd, place, SHAPE_SD, PLACE_SD, self._zero.sd, origin
         wanders = settings.tilt_wander, PLACE_WANDER, 0.0, 0.0, 0.0, PLACE_WANDER
-        self._variances = np.append(0.0, np.repeat(np.square(sds), 2))
-        self._wanders = np.append(0.0, np.repeat(np.square(wanders), 2))
-        self._known = self._bounded(np.array([aspect, known.pitch, known.roll] + [0.0] * 10))
+        stretch = self._assumed.stretch_sd**2
+        self._variances = np.concatenate([[0.0], np.repeat(np.square(sds), 2), [stretch]])
+        self._wanders = np.concatenate([[0.0], np.repeat(np.square(wanders), 2), [0.0]])
+        self._known = np.zeros(UNKNOWNS)
+        self._known[:3] = aspect, known.pitch, known.roll
+        self._known = self._bounded(self._known)
         self.mean, self.covariance = self._known.copy(), np.diag(self._variances)
         self.covariance[ASPECT, ASPECT] = min(unsure, settings.pad_aspect_sd**2)
         self._outlined = self._pressed = self._pressed_outside = False
@@ -333,6 +340,8 @@ class PoseEstimator:
             if size > OUTLIER**2:
                 innovation += np.diag(sds**2) * (size / OUTLIER**2 - 1.0)
             gain = np.linalg.solve(innovation, h @ spread).T
+            # Nothing tells it from the tilt.
+            gain[STRETCH] = 0.0
             if not learns_aspect:
                 gain[ASPECT] = 0.0
             found = self._bounded(prior + gain @ gap)
@@ -417,6 +426,8 @@ class PoseEstimator:
         slope[0:2, SHAPE] = slope[2:4, PLACE] = slope[2:4, CENTER] = one
         slope[4:6, PLACE] = slope[4:6, CENTER] = slope[4:6, ORIGIN] = one
         slope[4:6, ZERO] = per_torque * one
+        aside, torque = mean[PLACE] + mean[CENTER], mean[ORIGIN] + per_torque * mean[ZERO]
+        slope[2:6, STRETCH] = middle[2:6] - np.concatenate([aside, aside + torque])
         return middle, slope
 
     def _corrected(self, mean: np.ndarray) -> PoseCorrection:

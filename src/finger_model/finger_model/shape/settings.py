@@ -56,7 +56,8 @@ class PoseSettings(Settings):
         unit="m",
         minimum=1e-5,
         maximum=0.1,
-        advice="A robot knows where its finger is: give its value. 0.3 mm tell the tilt within 3°.",
+        advice="A robot knows where its finger is: give its value. 0.3 mm tell a "
+        "small tilt within 3°; a larger one needs the finger's lengths too.",
     )
     finger_direction: float = _runtime(
         0.5 * math.pi,
