@@ -43,6 +43,9 @@ _OUTSIDE = {
 }
 """Errors of the operating system that no check before can exclude: bad input, no defect."""
 
+DROPPED_AGAIN = 0.1
+"""s after which a signal comes again whose exception was dropped."""
+
 
 _PATHS = {"BAG", "CSV", "DIR", "FILE", "FIT", "IMAGE", "NPZ", "PNG", "VIEW", "YAML"}
 """Metavars of arguments that name files or folders."""
@@ -248,10 +251,6 @@ def end_workers() -> None:
     if (pools := sys.modules.get("multiprocessing")) is not None:  # else there are none
         for worker in pools.active_children():
             worker.terminate()
-
-
-DROPPED_AGAIN = 0.1
-"""s after which a signal comes again whose exception was dropped."""
 
 
 class _Signalled(BaseException):
