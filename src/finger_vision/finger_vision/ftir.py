@@ -426,19 +426,22 @@ def ellipse_deviations(
     """Standard deviations of centroid (each coordinate), major and minor axis (m), and angle (rad).
 
     area_sd: of the area, m². rim: the part of it that is of independent errors along the outline;
-    they move the moments of an ellipse as integrals along its rim say. All else is common and
-    scales the ellipse. They make an ellipse of a circle, too: by what they add on average to
+    they move the moments of an ellipse as integrals along its rim say. All else is common: it moves
+    the whole outline outwards by one width, of which the minor axis has the larger share. The
+    errors along the outline make an ellipse of a circle, too: by what they add on average to
     (a² − b²)² the contact is rounder than it looks.
     """
     share = rim / shape.area
-    common = math.sqrt(max(area_sd**2 - rim**2, 0.0)) / shape.area / 2
+    width = math.sqrt(max(area_sd**2 - rim**2, 0.0)) / shape.perimeter
     a, b = shape.major / 2, shape.minor / 2
     noise = math.sqrt(8) * share * a * b  # of the two components of a² − b²
     longer = math.sqrt(max((a * a - b * b) ** 2 - 2 * noise**2, 0.0))
-    axis = math.hypot(math.sqrt(0.75) * share, common)
+    major_sd, minor_sd = (
+        math.hypot(math.sqrt(0.75) * share * axis, 2 * width) for axis in (shape.major, shape.minor)
+    )
     # No direction is known of a circle.
     angle = min(noise / 2 / max(longer, 1e-12), math.pi / math.sqrt(12))
-    return share * math.sqrt(a * b / 2), shape.major * axis, shape.minor * axis, angle
+    return share * math.sqrt(a * b / 2), major_sd, minor_sd, angle
 
 
 def _is_of_one_grey(image: np.ndarray) -> bool:

@@ -20,7 +20,7 @@ from finger_vision.area_sensor import NoLight
 from finger_vision.calibration import PlateCalibration
 from finger_vision.ftir import OUTSIDE, FtirSegmenter, FtirSettings, ellipse_deviations
 from finger_vision.messages import contact_area_fields
-from finger_vision.outline import Shape, convex_corners
+from finger_vision.outline import Shape, convex_corners, widened
 from finger_vision.overlay import draw_overlay, scale_bar
 from finger_vision.ridges import RIM_LEVEL
 
@@ -175,6 +175,18 @@ def test_deviation_of_the_angle_fits_outlines_with_errors_along_the_rim(aspect: 
         assert said < 1.3 * wrong
     if aspect == 1.0:
         assert np.median(stated) == pytest.approx(math.pi / math.sqrt(12)), "no direction at all"
+
+
+@pytest.mark.parametrize("aspect", [1.0, 1.4, 1.8])
+def test_an_outline_too_wide_all_along_makes_both_axes_longer_by_the_same(aspect: float) -> None:
+    """That of the minor axis of an aspect of 1.8 was stated a quarter too small."""
+    around, width = np.linspace(0, 2 * math.pi, 720, endpoint=False), 50e-6
+    axes = 3e-3 * np.array([math.sqrt(aspect), 1 / math.sqrt(aspect)])
+    outline = axes * np.column_stack([np.cos(around), np.sin(around)])
+    shape, wide = Shape(outline), Shape(widened(outline, width))
+    _, major_sd, minor_sd, _ = ellipse_deviations(shape, wide.area - shape.area, 0.0)
+    assert major_sd == pytest.approx(wide.major - shape.major, rel=0.1)
+    assert minor_sd == pytest.approx(wide.minor - shape.minor, rel=0.1)
 
 
 def test_deviations_of_a_contact_over_the_border_are_not_known() -> None:
