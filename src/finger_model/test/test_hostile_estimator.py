@@ -415,7 +415,8 @@ def test_all_outputs_follow_the_fused_area(model: ReducedModel) -> None:
         assert e.mean_pressure == pytest.approx(e.normal_force / e.area)
         assert e.peak_pressure > e.mean_pressure
         relative = e.area_stddev / e.area
-        assert e.mean_pressure_stddev / e.mean_pressure == pytest.approx(relative, rel=0.5)
+        if e.normal_force > 0.1:
+            assert e.mean_pressure_stddev / e.mean_pressure == pytest.approx(relative, rel=0.02)
         assert e.peak_pressure_stddev / e.peak_pressure > relative
         assert 0.3 * relative < e.radius_stddev / e.radius < 0.6 * relative
         # Half of the factor 1.5 is taken for one of the depth, and that half is uncertain.

@@ -1330,3 +1330,47 @@ def test_a_real_jump_is_told_within_three_samples(normal_after, lateral_after):
     else:
         assert rows["slip_probability"][2] > 0.15
         assert rows["slip_probability"][3:20].min() > 0.9
+
+
+@pytest.mark.parametrize(("hz", "share"), [(20, 0.15), (30, 0.2), (50, 0.15)])
+def test_a_grip_that_trembles_shows_its_slips(hz, share):
+    time, normal, lateral, slides = slipping(4, 0.5)
+    swing = 1.0 + share * np.sin(2.0 * np.pi * hz * time)
+    forces = noisy(normal * swing, np.minimum(lateral, 0.5 * normal * swing))
+    rows = run(SlipEstimator(SlipSettings(tangential_noise=0.005)), *forces)
+    assert rows["slips"][-1] == 4
+    assert np.mean(rows["slip_probability"][slides] > 0.15) > 0.5
+
+
+@pytest.mark.parametrize("lasts", [0.01, 0.02, 0.04])
+@pytest.mark.parametrize(("up", "aside"), [(1.0, 0.3), (5.0, 1.5), (0.0, 0.2)])
+def test_knocks_on_what_is_held_are_no_slips(lasts, up, aside):
+    """Half-sine knocks every 0.4 s on 0.25 N that are held at 1 N, with a friction of 0.5."""
+    _, normal, lateral, _ = slipping(3, 0.5)
+    time = np.arange(2000) / RATE
+    held = np.interp(time, [0.3, 0.5, 3.9, 4.0], [0.0, 1.0, 1.0, 0.0])
+    since = time % 0.4 - 0.2
+    knock = np.where((since > 0.0) & (since < lasts), np.sin(np.pi * since / lasts), 0.0)
+    knock[(time < 0.8) | (time > 3.9)] = 0.0
+    forces = noisy(
+        np.concatenate([normal, held + up * knock]),
+        np.concatenate([lateral, 0.25 * held + aside * knock]),
+    )
+    rows = run(SlipEstimator(SlipSettings(tangential_noise=0.005)), *forces)
+    assert rows["slips"][-1] == rows["slips"][len(normal) - 1] == 3
+    assert rows["friction"][-1] == pytest.approx(0.5, rel=0.05)
+
+
+@pytest.mark.parametrize("gap", [0.01, 0.02, 0.04])
+def test_a_second_contact_soon_after_the_first_is_another_one(gap):
+    """Held at a ratio of 0.35, let go, and held at 0.1: no slip."""
+    _, normal, lateral, _ = slipping(3, 0.5)
+    time = np.arange(2000) / RATE
+    again = 1.53 + gap
+    knots = [0.5, 0.52, 1.5, 1.53, again, again + 0.03, 3.0, 3.02]
+    held = np.interp(time, knots, [0.0, 1.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0])
+    pulled = np.where(time < 1.53 + 0.5 * gap, 0.35, 0.1) * held
+    forces = noisy(np.concatenate([normal, held]), np.concatenate([lateral, pulled]))
+    rows = run(SlipEstimator(SlipSettings(tangential_noise=0.005)), *forces)
+    assert rows["slips"][-1] == rows["slips"][len(normal) - 1] == 3
+    assert rows["friction"][-1] == pytest.approx(0.5, rel=0.05)

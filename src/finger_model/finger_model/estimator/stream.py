@@ -482,7 +482,7 @@ def _force_variances(config, state, normal_force, exponent):
     the area.
     """
     share = exponent
-    if state.contact.seen_force > 0.0:
+    if state.contact.has_fused and state.contact.seen_force > 0.0:
         share *= 1.0 - normal_force / state.contact.seen_force
     square = max(normal_force, area_filter.LEAST_FORCE) ** 2
     noise, zero = state.stream.noise_variance / square, config.zero_variance / square

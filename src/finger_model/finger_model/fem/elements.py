@@ -151,7 +151,7 @@ def _deviatoric_stress(f, q, h, tau):
 
 @njit(cache=True, fastmath=True, inline="always")
 def _deviatoric_strain(f, q, strain):
-    """dev(q F Fᵀ) (4,): the change of tr C̄ with the strain is twice this."""
+    """dev(q F Fᵀ) (4,), q being J^(−2/3): the change of tr C̄ with the strain is twice this."""
     srr = q * (f.rr * f.rr + f.rz * f.rz)
     szz = q * (f.zr * f.zr + f.zz * f.zz)
     stt = q * f.hoop * f.hoop
@@ -196,7 +196,7 @@ def _add_force(w, j, jp, tau, gr, gz, gt, fe, volume_gradient):
 @njit(cache=True, fastmath=True, inline="always")
 def _add_stiffness(w, jp, tau, d, gr, gz, gt, ke):
     """Add a point's share of the lower half of the element's stiffness ke (8, 8): of the moduli d
-    (4, 4) and of the stress."""
+    (4, 4), whose upper half is read, and of the stress."""
     wrr = w * (tau[0] + jp)
     wzz = w * (tau[1] + jp)
     wtt = w * (tau[2] + jp)

@@ -51,6 +51,9 @@ FORCES = np.dtype(
         ("fast", TRACK),
         ("slow", TRACK),
         ("last", "f8", (2, 2)),  # N, Q of the two samples before
+        ("last_normal", "f8", (2,)),  # N, P of the two samples before
+        ("normal_variance", "f8"),  # N², of a sample of P, as the samples show it
+        ("normal_time", "f8"),  # s, over which it was averaged
         ("seen_variance", "f8"),  # N², of a sample of Q, as the samples show it
         ("seen_time", "f8"),  # s, over which it was averaged
         ("noise", "f8"),  # N, of a sample of Q
@@ -71,6 +74,7 @@ def begin(forces, noise, stamp, normal, q0, q1):
         forces.fast.value[i] = forces.slow.value[i] = value
         forces.fast.rate[i] = forces.slow.rate[i] = 0.0
     forces.last[:, 0], forces.last[:, 1] = q0, q1
+    forces.last_normal[:] = normal
     forces.noise, forces.filtered_noise = noise, 0.6 * noise
     forces.knocked = stamp - np.int64(1e9)
 
@@ -102,6 +106,20 @@ def _roughness(forces, q0, q1):
     last[1] = last[0]
     last[0, 0], last[0, 1] = q0, q1
     return rough
+
+
+@njit(cache=True)
+def noise_of_normal(forces, noise, dt, normal):
+    """Noise (N) of P, that of the settings or more where its samples show more: also of a grip that
+    trembles."""
+    last = forces.last_normal
+    rough = force_noise.roughness(normal, last[0], last[1])
+    last[1], last[0] = last[0], normal
+    if dt <= LONGEST_STEP:
+        forces.normal_variance, forces.normal_time = force_noise.averaged(
+            forces.normal_variance, forces.normal_time, rough, noise * noise, dt
+        )
+    return max(noise, math.sqrt(forces.normal_variance))
 
 
 @njit(cache=True)

@@ -90,6 +90,7 @@ STATE = np.dtype(
         ("doubted", "?"),  # the newest force of this contact is hardly a finger's
         ("stamp", "i8"),  # ns
         ("touched", "i8"),  # ns, newest sample in contact
+        ("lifted", "?"),  # the sample before had no contact
         ("measured", force_noise.MEASURED),
         ("spikes", spikes.SPIKES),
         ("forces", forces.FORCES),
@@ -109,7 +110,7 @@ def _begin_contact(config, state, stamp, normal, q0, q1):
     state.touching = True
     friction.begin_contact(state.friction)
     forces.begin(state.forces, config.noise, stamp, normal, q0, q1)
-    spikes.begin(state.spikes, stamp)
+    spikes.begin(state.spikes, stamp, np.array((normal, q0, q1)))
     forecasts.begin(state.forecasts)
     elements.begin(state.elements, normal, q0, q1)
     plateau.begin_contact(state.plateau)
@@ -236,6 +237,11 @@ def _track_contact(config, state, sample, dt, step, anew):
         if state.touching:
             _end_contact(config, state)
         forces.forget_air(tracked)
+    if sample.touching and state.lifted:
+        state.lifted = False
+        q0, q1 = _pull_of(state, sample)
+        if state.touching and not spikes.goes_on(state, sample.stamp, sample.normal, q0, q1):
+            _end_contact(config, state)
     if sample.touching:
         if not state.touching:
             forces.set_zero(tracked)
@@ -249,8 +255,10 @@ def _track_contact(config, state, sample, dt, step, anew):
             older = dt
         state.doubted = sample.doubted
         state.touched = sample.stamp
-    elif state.touching and (sample.stamp - state.touched) * 1e-9 >= spikes.LONGEST:
-        _end_contact(config, state)
+    else:
+        state.lifted = True
+        if state.touching and (sample.stamp - state.touched) * 1e-9 >= spikes.LONGEST:
+            _end_contact(config, state)
     if not state.touching and anew:
         q0, q1 = sample.lateral[0], sample.lateral[1]
         forces.see_air(tracked, config.noise, sample.stamp, step, q0, q1)

@@ -150,9 +150,9 @@ def _times_metric(f, h, fh):
 
 
 @njit(cache=True, fastmath=True, inline="always")
-def _traction(w, jp, tau, g, stressed):
+def _stressed_gradients(w, jp, tau, g, stressed):
     """Stress times the gradients g (8, 3) times the volume w: stressed (8, 3); jp: J times the
-    pressure, tau (6,): stress without its volumetric part."""
+    pressure, tau (6,): Kirchhoff stress without its volumetric part."""
     sxx = w * (tau[0] + jp)
     syy = w * (tau[1] + jp)
     szz = w * (tau[2] + jp)
@@ -170,7 +170,8 @@ def _traction(w, jp, tau, g, stressed):
 
 @njit(cache=True, fastmath=True, inline="always")
 def _moduli(w, jp, trace, tau, d):
-    """Spatial moduli d (6, 6) times the volume w; trace: tr b."""
+    """Spatial moduli d (6, 6) times the volume w; jp, tau (6,): as in `_stressed_gradients`, trace:
+    tr b with b = J^(−2/3) F H Fᵀ."""
     k = 2.0 / 3.0
     c = k * trace - 2.0 * jp
     m = jp - 2.0 / 9.0 * trace
@@ -210,7 +211,10 @@ def _strain_rows(g, d, b, db):
 @njit(cache=True, fastmath=True, inline="always")
 def _add_to_tangent(g, stressed, factor, volume_gradient, tangent):
     """Add to the tangent (24, 24) of an element what the stress gives, and factor times the square
-    of the gradient of its volume (8, 3); g, stressed (points, 8, 3): as in `_traction`."""
+    of the gradient of its volume (8, 3).
+
+    g, stressed (points, 8, 3): gradients and what `_stressed_gradients` gives, of all points.
+    """
     for a in range(NODES):
         for n in range(NODES):
             geometric = 0.0
@@ -271,7 +275,7 @@ def assemble(x, bricks, material, stiffness, force, tangent):
             volume += weight[e, p] * j
         pressure = bulk[e] * (volume / reference - 1.0)
         for p in range(POINTS):
-            _traction(weight[e, p], jac[p] * pressure, tau[p], g[p], stressed[p])
+            _stressed_gradients(weight[e, p], jac[p] * pressure, tau[p], g[p], stressed[p])
             for a in range(NODES):
                 for i in range(3):
                     force[cells[e, a], i] += stressed[p, a, i]
