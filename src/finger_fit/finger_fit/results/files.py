@@ -129,7 +129,9 @@ def remove_pages(result: FitResult, folder: Path) -> None:
     """Remove the report.html of an earlier fit of these subjects, and what was printed of it."""
     for name in ("", *result.subjects):
         for page in ("report.html", "report.pdf"):
-            (folder / name / page).unlink(missing_ok=True)
+            path = folder / name / page
+            if not path.is_dir():  # then drawing the report says so
+                path.unlink(missing_ok=True)
 
 
 def _write(result: FitResult, folder: Path) -> None:
