@@ -246,6 +246,11 @@ def print_to_nobody() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
+def in_main_thread() -> bool:
+    """Whether this is the thread in which Python sets and runs the handlers of signals."""
+    return threading.current_thread() is threading.main_thread()
+
+
 def end_workers() -> None:
     """End the processes of pools, without waiting for what they compute."""
     if (pools := sys.modules.get("multiprocessing")) is not None:  # else there are none
@@ -264,6 +269,9 @@ class _Signalled(BaseException):
 def _pools_quiet() -> Iterator[None]:
     """A process pool of Python 3.11 that loses its processes gives their error to futures that were
     cancelled too, and its thread ends with InvalidStateError: no report of that."""
+    if not in_main_thread():  # of several commands, the first need not be the first to end
+        yield
+        return
     usual = threading.excepthook
 
     def report(failed: threading.ExceptHookArgs) -> None:
@@ -284,9 +292,10 @@ def _signals_raised() -> Iterator[None]:
     somebody handles or ignores stay as they are. A signal whose exception is dropped comes again:
     no exception passes a callback of compiled code, such as that of numba while it loads kernels.
     """
+    if not in_main_thread():
+        yield
+        return
     ended = [signal.SIGTERM, signal.SIGHUP]
-    if threading.current_thread() is not threading.main_thread():
-        ended = []  # Python sets handlers in the main thread only
     ended = [number for number in ended if signal.getsignal(number) is signal.SIG_DFL]
 
     def end(number: int, frame: Any) -> None:
@@ -302,7 +311,7 @@ def _signals_raised() -> Iterator[None]:
         if not isinstance(lost.exc_value, (KeyboardInterrupt, _Signalled)):
             return usual(lost)
         number = getattr(lost.exc_value, "number", signal.SIGINT)
-        if number in ended:
+        if isinstance(lost.exc_value, _Signalled):
             signal.signal(number, end)
         again.cancel()
         again = threading.Timer(DROPPED_AGAIN, os.kill, (os.getpid(), number))
@@ -315,10 +324,14 @@ def _signals_raised() -> Iterator[None]:
     try:
         yield
     finally:
-        again.cancel()
-        sys.unraisablehook = usual
-        for number in ended:
-            signal.signal(number, signal.SIG_DFL)
+        try:
+            again.cancel()
+            if again.ident is not None:
+                again.join()  # what it sends comes here, not after the command
+        finally:
+            sys.unraisablehook = usual
+            for number in ended:
+                signal.signal(number, signal.SIG_DFL)
 
 
 def run(

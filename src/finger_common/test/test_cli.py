@@ -15,10 +15,11 @@ import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from finger_common.cli import Parser, add_settings, run, settings_from
+from finger_common.cli import DROPPED_AGAIN, Parser, add_settings, run, settings_from
 from finger_common.errors import InputError, known_names, listed
 from finger_common.files import atomic_write
 from finger_common.folder_lock import lock_folder
@@ -252,6 +253,50 @@ def test_a_signal_in_a_callback_of_compiled_code_ends_the_command(
     said = capfd.readouterr().err
     assert len(said.splitlines()) == 1 and ("interrupted" if number == 2 else number.name) in said
     assert len(calls) == 2 and not list(tmp_path.iterdir())
+
+
+def test_a_dropped_signal_never_comes_after_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    usual = os.kill
+
+    def kill(process: int, number: int) -> None:
+        time.sleep(3 * DROPPED_AGAIN)
+        usual(process, number)
+
+    def command(argv: object) -> int:
+        ctypes.CFUNCTYPE(None)(lambda: signal.raise_signal(signal.SIGTERM))()
+        time.sleep(2 * DROPPED_AGAIN)
+        return 0
+
+    monkeypatch.setattr(os, "kill", kill)
+    late: list[int] = []
+    before = signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    try:
+        code = run(command)
+        signal.signal(signal.SIGTERM, lambda number, _: late.append(number))
+        time.sleep(4 * DROPPED_AGAIN)
+        assert (code, late) == (143, [])
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def test_commands_in_threads_leave_no_hooks_behind() -> None:
+    hooks = sys.unraisablehook, threading.excepthook
+    ends = [threading.Event(), threading.Event()]
+    threads = []
+    for end in ends:
+        begun = threading.Event()
+
+        def command(argv: object, begun: Any = begun, end: Any = end) -> None:
+            begun.set()
+            end.wait()
+
+        threads.append(threading.Thread(target=run, args=(command,)))
+        threads[-1].start()
+        begun.wait()
+    for thread, end in zip(threads, ends, strict=True):
+        end.set()
+        thread.join()
+    assert (sys.unraisablehook, threading.excepthook) == hooks
 
 
 def test_a_signal_that_is_ignored_stays_so() -> None:
