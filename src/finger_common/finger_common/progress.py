@@ -13,6 +13,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from typing import Any, TypeVar
 
 from rich.console import Console
@@ -165,4 +166,5 @@ class Stages:
 
     @staticmethod
     def _write(text: str) -> None:
-        print(plain(text), file=sys.stderr, flush=True)
+        with suppress(OSError):  # nobody reads it any more; the work goes on
+            print(plain(text), file=sys.stderr, flush=True)

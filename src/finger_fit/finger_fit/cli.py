@@ -22,6 +22,7 @@ from finger_common.cli import (
     Parser,
     add_settings,
     plain,
+    print_to_nobody,
     run,
     settings_from,
 )
@@ -245,17 +246,22 @@ def command(argv: Sequence[str] | None = None) -> int:
     except NotWritten as error:
         show(error.result)
         raise
-    show(result)
-    page = Path(args.output) / "report.html"
-    written = page.is_file()
-    if written:
-        print(f"report: {plain(page)}")
-    if written and browser:
-        for name in ("", *result.subjects):
-            write_pdf(page.parent / name / page.name, browser)
-        print(f"report: {plain(page.with_suffix('.pdf'))}")
-    for bag in result.lost:
-        print(f"finger-fit: {plain(bag)}: not all of the bag could be read", file=sys.stderr)
+    try:
+        show(result)
+        page = Path(args.output) / "report.html"
+        written = page.is_file()
+        if written:
+            print(f"report: {plain(page)}")
+        if written and browser:
+            for name in ("", *result.subjects):
+                write_pdf(page.parent / name / page.name, browser)
+            print(f"report: {plain(page.with_suffix('.pdf'))}")
+        for bag in result.lost:
+            print(f"finger-fit: {plain(bag)}: not all of the bag could be read", file=sys.stderr)
+    except BrokenPipeError:
+        if not taken:
+            raise
+        print_to_nobody()
     if taken:
         return 128 + taken[0]
     if result.stopped:

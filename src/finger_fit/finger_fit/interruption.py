@@ -5,7 +5,8 @@
 
 A signal ends at once what is `interruptible`. In the rest of a block that is `kept`, such as
 between two stages and while files are written, the first one waits for the next interruptible
-block. Without `signals_taken` (in a script, in a node) Ctrl-C raises KeyboardInterrupt anywhere.
+block. Before anything is found, and without `signals_taken` (in a script, in a node), Ctrl-C raises
+KeyboardInterrupt anywhere. Only the main thread is interrupted.
 """
 
 from __future__ import annotations
@@ -14,21 +15,21 @@ import os
 import signal
 import stat
 import sys
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any
 
-from finger_common.cli import end_workers
+from finger_common.cli import end_workers, in_main_thread
 
 
 @dataclass
 class _State:
-    """keeps: something may have been found; ends: a signal ends what runs; waiting: one came while
-    it did not."""
+    """keeps: what is found is worth writing; found: there is something; ends: a signal ends what
+    runs; waiting: one came while it did not."""
 
     keeps: bool = False
+    found: bool = False
     ends: bool = False
     waiting: bool = False
 
@@ -36,8 +37,18 @@ class _State:
 _state = _State()
 
 
+class _Interrupted(KeyboardInterrupt):
+    """number: the signal that comes again where this is dropped."""
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+
+
 @contextmanager
 def _set(**values: bool) -> Iterator[None]:
+    if not in_main_thread():
+        yield
+        return
     before = dict(vars(_state))
     try:
         vars(_state).update(values)
@@ -50,8 +61,14 @@ def _set(**values: bool) -> Iterator[None]:
 
 
 def kept() -> Any:
-    """A block whose results are worth writing."""
-    return _set(keeps=True)
+    """A block whose results are worth writing, as soon as `found_something` is called."""
+    return _set(keeps=True, found=False)
+
+
+def found_something() -> None:
+    """From here on, an interruption of a block that is kept leaves results."""
+    if in_main_thread():
+        _state.found = True
 
 
 def not_kept() -> Any:
@@ -74,20 +91,23 @@ def signals_taken(say: Callable[[str], None]) -> Iterator[list[int]]:
     """
     before: dict[int, Any] = {}
     taken: list[int] = []
+    if not in_main_thread():
+        yield taken
+        return
     again = False
 
     def take(number: int, frame: Any) -> None:
         nonlocal again
-        if not _state.keeps:
+        if not (_state.keeps and _state.found):
             before[number](number, frame)
         elif again:
             again = False
             if _state.waiting and _state.ends:
                 _state.waiting = False
-                raise KeyboardInterrupt
+                raise _Interrupted(number)
         elif taken:
             if number == signal.SIGINT:
-                raise KeyboardInterrupt
+                raise _Interrupted(number)
         else:
             taken.append(number)
             name, second = signal.Signals(number).name, "Ctrl-C gives them up"
@@ -100,7 +120,7 @@ def signals_taken(say: Callable[[str], None]) -> Iterator[list[int]]:
                 say(f"{name}: writing the results so far; {second}")
             _state.waiting = not _state.ends
             if _state.ends:
-                raise KeyboardInterrupt
+                raise _Interrupted(number)
 
     hook = sys.unraisablehook
 
@@ -111,11 +131,10 @@ def signals_taken(say: Callable[[str], None]) -> Iterator[list[int]]:
         hook(lost)
 
     sys.unraisablehook = dropped
-    if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            if callable(usual := signal.getsignal(number)):
-                before[number] = usual
-                signal.signal(number, take)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if callable(usual := signal.getsignal(number)):
+            before[number] = usual
+            signal.signal(number, take)
     try:
         yield taken
     except KeyboardInterrupt:

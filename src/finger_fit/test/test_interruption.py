@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import fcntl
 import json
 import os
@@ -12,6 +13,7 @@ import signal
 import subprocess
 import sys
 import termios
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +25,7 @@ import finger_fit.report as fit_report
 from finger_common.cli import DROPPED_AGAIN, run
 from finger_fit import cli
 from finger_fit.fingers import Fingers
+from finger_fit.interruption import found_something, kept, signals_taken
 from finger_fit.study import bags, condition, study
 
 OPTIONS = [
@@ -122,10 +125,24 @@ def test_a_second_ctrl_c_gives_up_the_results(fit: Fit, capfd) -> None:
     assert not (fit.folder / "fit.json").exists()
 
 
-def test_ctrl_c_before_anything_was_found_promises_nothing(fit: Fit, capfd) -> None:
-    fit.before(study, "load", signal.SIGINT)
+@pytest.mark.parametrize(
+    ("place", "name"), [(study, "load"), (study, "prepare_all"), (condition, "search_grid")]
+)
+def test_ctrl_c_before_anything_was_found_promises_nothing(
+    fit: Fit, capfd, place: Any, name: str
+) -> None:
+    fit.before(place, name, signal.SIGINT)
     assert fit.run() == 130
     assert "writing" not in capfd.readouterr().err and not fit.folder.exists()
+
+
+def test_a_second_ctrl_c_in_the_report_of_a_cut_fit_promises_no_parameters(fit: Fit, capfd) -> None:
+    fit.before(condition, "refine", signal.SIGINT)
+    fit.before(fit_report, "write_report", signal.SIGINT)
+    assert fit.run() == 130
+    out = capfd.readouterr().out
+    assert "note: interrupted: results are written, the report is not" in out
+    assert fit.status == CUT and not (fit.folder / "parameters.yaml").exists()
 
 
 def test_ctrl_c_in_a_cross_check_ends_the_fit(fit: Fit, capfd) -> None:
@@ -213,6 +230,67 @@ def test_ctrl_c_after_another_signal_gives_up_the_results(
     assert not (fit.folder / "fit.json").exists()
 
 
+def test_a_dropped_sigterm_comes_again_where_ctrl_c_is_ignored(
+    fit: Fit, capfd, signals_that_end: None
+) -> None:
+    """As in a job in the background."""
+    usual = condition.polish
+    drops = iter([lambda: signal.raise_signal(signal.SIGTERM)])
+
+    def polish(*arguments: Any) -> Any:
+        for drop in drops:
+            ctypes.CFUNCTYPE(None)(drop)()
+        time.sleep(3 * DROPPED_AGAIN)
+        return usual(*arguments)
+
+    fit.patch.setattr(condition, "polish", polish)
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        assert fit.run() == 143
+    finally:
+        signal.signal(signal.SIGINT, before)
+    err = capfd.readouterr().err
+    assert err.count("SIGTERM: writing the results so far") == 1 and fit.status == CUT
+
+
+def test_fits_of_other_threads_do_not_meddle_with_the_signals_of_a_fit(fit: Fit, capfd) -> None:
+    ends = [threading.Event(), threading.Event()]
+
+    def keep(begun: threading.Event, end: threading.Event) -> None:
+        with signals_taken(print), kept():
+            found_something()
+            begun.set()
+            end.wait()
+
+    hook, threads = sys.unraisablehook, []
+    for end in ends:
+        threads.append(threading.Thread(target=keep, args=(begun := threading.Event(), end)))
+        threads[-1].start()
+        begun.wait()
+    for thread, end in zip(threads, ends, strict=True):
+        end.set()
+        thread.join()
+    assert sys.unraisablehook is hook
+    fit.before(study, "load", signal.SIGINT)
+    assert fit.run() == 130 and "writing" not in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("place", [condition, study])
+def test_a_closed_pipe_does_not_keep_results_from_being_written(
+    fit: Fit, signals_that_end: None, place: Any
+) -> None:
+    """As of `finger-fit … 2>&1 | tee log` in a terminal that is closed."""
+    name, status = {condition: ("refine", CUT), study: ("provenance", WHOLE)}[place]
+    fit.before(place, name, signal.SIGHUP)
+    reading, writing = os.pipe()
+    os.close(reading)
+    with open(writing, "w") as pipe, fit.patch.context() as patch:
+        patch.setattr(sys, "stdout", pipe)
+        patch.setattr(sys, "stderr", pipe)
+        code = fit.run()
+    assert code == 129 and fit.status == status
+
+
 def test_of_subjects_the_fitted_ones_are_written(fit: Fit, signals_that_end: None) -> None:
     more = [replace(r, subject="S02", bag=f"S02_{r.index}", force=1.01 * r.force)
             for r in fit.loaded.records]  # fmt: skip
@@ -236,9 +314,10 @@ CLOSED = """\
 import sys, time
 from pathlib import Path
 from finger_common.cli import run
-from finger_fit.interruption import interruptible, kept, signals_taken
+from finger_fit.interruption import found_something, interruptible, kept, signals_taken
 def command(argv):
     with signals_taken(print) as taken, kept():
+        found_something()
         try:
             with interruptible():
                 print("begun", flush=True)

@@ -23,7 +23,7 @@ import numpy as np
 from finger_common.errors import InputError
 from finger_common.files import atomic_write, load_json
 
-from ..interruption import interruptible
+from ..interruption import found_something, interruptible
 from .coordinates import Coordinates
 
 Cost = Callable[[np.ndarray], np.ndarray]
@@ -90,6 +90,8 @@ def search_grid(
             for count, start in enumerate(rounds, 1):
                 part = slice(start, start + GRID_CHUNK)
                 costs[part] = cost(points[part])
+                if np.isfinite(costs[part]).any():
+                    found_something()
                 if progress is not None:
                     best = int(np.argmin(costs))
                     progress(count, len(rounds), float(costs[best]), points[best])

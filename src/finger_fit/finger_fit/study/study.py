@@ -26,7 +26,7 @@ from .. import results
 from ..engine import Engine, LocalEngine, engine_for
 from ..fingers import Fingers
 from ..full_order import FullOrder
-from ..interruption import interruptible, kept, not_kept
+from ..interruption import found_something, interruptible, kept, not_kept
 from ..options import FitOptions
 from ..problem import (
     DataError,
@@ -263,6 +263,7 @@ class _Work:
         shared = _Work(self.fingers, self.options, self.conditions, LocalEngine(1))
         with not_kept(), interruptible():
             found = self.engine.map(_fit_alone, shared, list(subjects.values()), done)
+        found_something()
         return zip(subjects, found, strict=True)
 
     def fit_subject(self, trials: Sequence[FitTrial]) -> FitResult:
@@ -446,9 +447,10 @@ def fit_bags(
     `Fingers` of the subjects, None for the shipped reduced model; conditions: names to fit, empty
     for all; settings: how the bags are read, by `reading`; command: how the fit was asked for, for
     its provenance. Of several subjects, each has its own folder in `output`. Nothing is written
-    without `output`. Raises InputError for bags that cannot be fitted, and for an output folder
-    that holds a fit of other subjects or that another fit writes into; NotWritten for files that
-    cannot be written.
+    without `output`. KeyboardInterrupt during a stage or the report gives the result so far, with
+    `stopped` set; anywhere else, and before anything was found, it is raised. Raises InputError for
+    bags that cannot be fitted, and for an output folder that holds a fit of other subjects or that
+    another fit writes into; NotWritten for files that cannot be written.
     """
     options = options or FitOptions()
     fingers = Fingers.of(model or ReducedModel.load())
@@ -499,9 +501,10 @@ def _write(result: FitResult, folder: Path, progress: Progress) -> None:
     """Files first, then the report; a stopped fit writes what it found. An interruption after the
     files becomes a note. Raises NotWritten."""
     state = "not all files of the fit are written"
+    written = "results" if result.interrupted else "results and parameters"
     try:
         results.write(result, folder)
-        state = "results and parameters are written, the report is not"
+        state = f"{written} are written, the report is not"
         results.remove_pages(result, folder)
         try:
             from ..report import remove_figures, write_report  # seconds: they import matplotlib
@@ -513,9 +516,7 @@ def _write(result: FitResult, folder: Path, progress: Progress) -> None:
                 with progress.timed("report"):
                     draw(result)
                     write_report(result, folder)
-            state = (
-                "results, parameters and report are written, the time that the report took is not"
-            )
+            state = f"{written} are written, and the report, but not the time that it took"
             result.seconds.update(progress.seconds)
             results.write(result, folder)
         except KeyboardInterrupt:
