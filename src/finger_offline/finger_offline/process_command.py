@@ -152,7 +152,7 @@ def _report(
 ) -> int:
     failed = [r for r in results if isinstance(r, FingerError)]
     good = [r for r in results if not isinstance(r, FingerError)]
-    for bag, result in zip(bags, results):
+    for bag, result in zip(bags, results, strict=True):
         if isinstance(result, FingerError):
             continue
         for problem in result.problems:
