@@ -587,6 +587,8 @@ def test_camera_fault(
     for command in begin:
         simulator.say(command)
     time.sleep(duration)
+    if published == "some":
+        wait_until(lambda: topic.since(start + 0.3), "images meanwhile")
     during = topic.since(start + 0.3)
     # The rate is judged over a second, as the node's timer does.
     time.sleep(0.1)
@@ -611,8 +613,6 @@ def test_camera_fault(
         assert not during
     elif published == "few":
         assert len(during) <= 4
-    else:
-        assert during
     if name == "frames missing":
         assert test.counters["lost"] - before.get("lost", 0) == 3
     text = {
