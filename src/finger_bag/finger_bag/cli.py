@@ -41,6 +41,9 @@ from .schema import full_name
 
 EXIT_CHECK_FAILS = 1
 
+BAGS = "bags (MCAP, rosbag2 folders), or folders of bags"
+"""Help of arguments that name several bags."""
+
 COMMANDS = Plugins("finger_bag.commands", "subcommand")
 """Further subcommands of installed packages: functions that add theirs with an `AddCommand`."""
 
@@ -294,7 +297,7 @@ def parser() -> argparse.ArgumentParser:
     info = command(
         "info", _info, "List topics, times and metadata of bags.", "finger-bag info bags/dry"
     )
-    info.add_argument("bags", nargs="+", metavar="BAG")
+    info.add_argument("bags", nargs="+", metavar="BAG", help=BAGS)
     info.add_argument("--count", action="store_true", help="count by reading every message")
     info.add_argument("--json", action="store_true", help="print JSON")
 
@@ -304,7 +307,7 @@ def parser() -> argparse.ArgumentParser:
         "Check whether bags are fit for use. Exit code 0 fit, 1 a check fails, 2 unreadable.",
         "finger-bag validate bags/dry --json",
     )
-    check.add_argument("bags", nargs="+", metavar="BAG")
+    check.add_argument("bags", nargs="+", metavar="BAG", help=BAGS)
     add_read_options(check, ReadSettings)
     check.add_argument("--json", action="store_true", help="print JSON")
 
@@ -314,7 +317,7 @@ def parser() -> argparse.ArgumentParser:
         "Publish a bag with its original spacing, until its end or Ctrl-C.",
         "finger-bag play bags/dry --rate 2 --clock --topics wrench contact_area",
     )
-    show.add_argument("bag", metavar="BAG")
+    show.add_argument("bag", metavar="BAG", help="bag to publish")
     add_settings(show.add_argument_group("how it is played"), PlaySettings)
     show.add_argument("--topics", nargs="+", metavar="TOPIC", help="play these topics only")
     show.add_argument("--exclude", nargs="+", metavar="TOPIC", help="leave out these topics")
@@ -326,11 +329,17 @@ def parser() -> argparse.ArgumentParser:
         "finger-bag record -o session1 --condition natural",
     )
     record.add_argument("-o", "--output", required=True, help="bag to write")
-    record.add_argument("--topics", nargs="+", metavar="TOPIC", help="schema names or NAME=TYPE")
+    record.add_argument(
+        "--topics",
+        nargs="+",
+        metavar="TOPIC",
+        help="topics of a session bag, relative to the namespace or absolute; others as NAME=TYPE "
+        "(default: all of a session bag)",
+    )
     record.add_argument("--namespace", default="finger", help="namespace of the rig")
     record.add_argument("--session", default="", help="id of the session")
     record.add_argument("--subject", default="", help="subject code, never a name")
-    record.add_argument("--condition", default="", help="moisture condition")
+    record.add_argument("--condition", default="", help="condition of the skin, such as dry")
     record.add_argument("--calibration", metavar="FILE", help="plate calibration to attach")
     add_settings(record.add_argument_group("how the bag is written"), RecorderSettings)
 
@@ -340,7 +349,7 @@ def parser() -> argparse.ArgumentParser:
         "Copy everything that can be read from a damaged bag into a complete bag.",
         "finger-bag recover session1 -o session1_recovered",
     )
-    recover.add_argument("bag", metavar="BAG")
+    recover.add_argument("bag", metavar="BAG", help="damaged bag; it is not changed")
     recover.add_argument("-o", "--output", help="bag to write (default: BAG_recovered)")
 
     hide = command(
@@ -349,7 +358,7 @@ def parser() -> argparse.ArgumentParser:
         "Copy a bag without images; areas, outlines and metadata stay.",
         "finger-bag anonymise session1 -o session1_anonymous",
     )
-    hide.add_argument("bag", metavar="BAG")
+    hide.add_argument("bag", metavar="BAG", help="bag to copy; it is not changed")
     hide.add_argument("-o", "--output", required=True, help="bag to write")
     for name in COMMANDS.names():
         COMMANDS.load(name)(command)

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from finger_bag.bag_files import find_bags
-from finger_bag.cli import AddCommand
+from finger_bag.cli import BAGS, AddCommand
 from finger_bag.read_settings import add_read_options, read_settings_from
 from finger_common.cli import EXIT_BAD_INPUT, EXIT_LOST, one_line, plain
 from finger_common.errors import FingerError, InputError
@@ -40,7 +40,7 @@ def add_command(add: AddCommand) -> None:
         "finger-bag process bags/dry -o out/dry --csv out/dry.csv\n"
         "finger-bag process session1 session2 -o out --images yes --calibration plate.yaml",
     )
-    parser.add_argument("bags", nargs="+", metavar="BAG")
+    parser.add_argument("bags", nargs="+", metavar="BAG", help=BAGS)
     parser.add_argument(
         "-o", "--output", required=True, help="bag to write; with several bags, their folder"
     )
@@ -65,7 +65,12 @@ def add_command(add: AddCommand) -> None:
     tables.add_argument(
         "--parquet", metavar="FILE", help="write them to this Parquet file (needs pyarrow)"
     )
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="bags in parallel")
+    parser.add_argument(
+        "--jobs",
+        type=int,
+        default=os.cpu_count() or 1,
+        help="bags in parallel (default: one per core)",
+    )
     add_read_options(parser, ProcessOptions)
 
 

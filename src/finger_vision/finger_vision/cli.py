@@ -112,7 +112,12 @@ def _add_calibrate(commands: Any) -> None:
         metavar="VIEW",
         help="images or bags with the board flat on the plate",
     )
-    calibrate.add_argument("--board", choices=("checkerboard", "charuco"), default="checkerboard")
+    calibrate.add_argument(
+        "--board",
+        choices=("checkerboard", "charuco"),
+        default="checkerboard",
+        help="pattern of the board (default: %(default)s)",
+    )
     calibrate.add_argument(
         "--columns", type=int, required=True, help="columns of squares, not inner corners"
     )
@@ -123,10 +128,12 @@ def _add_calibrate(commands: Any) -> None:
         "--square", type=float, required=True, metavar="M", help="side of a square, m"
     )
     calibrate.add_argument(
-        "--marker", type=float, default=0.0, metavar="M", help="side of a marker, m"
+        "--marker", type=float, default=0.0, metavar="M", help="side of a marker, m (charuco only)"
     )
     calibrate.add_argument(
-        "--dictionary", default=DICTIONARY, help=f"ArUco dictionary (default: {DICTIONARY})"
+        "--dictionary",
+        default=DICTIONARY,
+        help=f"ArUco dictionary, charuco only (default: {DICTIONARY})",
     )
     calibrate.add_argument(
         "--no-lens",
@@ -147,8 +154,14 @@ def _add_calibrate(commands: Any) -> None:
         metavar="S",
         help="time between the images used from a bag (default: %(default)g)",
     )
-    calibrate.add_argument("--camera-name", default="finger_camera")
-    calibrate.add_argument("-o", "--output", type=Path, required=True, metavar="YAML")
+    calibrate.add_argument(
+        "--camera-name",
+        default="finger_camera",
+        help="name of the camera in the file (default: %(default)s)",
+    )
+    calibrate.add_argument(
+        "-o", "--output", type=Path, required=True, metavar="YAML", help="calibration file to write"
+    )
 
 
 def _views(paths: Sequence[Path], board: Board, arguments: Any) -> list[View]:
