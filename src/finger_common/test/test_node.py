@@ -565,6 +565,27 @@ def test_qos_overrides_reach_streams_that_are_polled(ros_domain: int) -> None:
         assert chosen == [ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE]
 
 
+def test_publishers_of_a_remapped_topic_are_counted(ros_domain: int) -> None:
+    from std_msgs.msg import Float64
+
+    from finger_common.node import ManagedNode
+
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=ros_domain)
+    remapped = ["--ros-args", "-r", "image:=/robot/image"]
+    node = ManagedNode(context=context, cli_args=remapped, namespace="/hand/thumb")
+    other = rclpy.create_node("camera", context=context)
+    try:
+        assert node.count_publishers("image") == 0
+        other.create_publisher(Float64, "/robot/image", 10)
+        wait_until(lambda: node.count_publishers("image") == 1, "the publisher")
+        assert node.count_publishers("/robot/image") == 1
+    finally:
+        other.destroy_node()
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
 def test_what_a_node_made_ends_with_the_state_it_was_made_for(ros_domain: int) -> None:
     from rclpy.parameter import Parameter
     from rclpy.qos import QoSProfile

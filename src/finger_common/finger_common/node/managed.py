@@ -381,6 +381,11 @@ class ManagedNode(LifecycleNode):
         """Report publishers of a polled topic whose QoS is incompatible."""
         self._stream_watch.check_mismatch(polled)
 
+    def count_publishers(self, topic_name: str) -> int:
+        """Publishers of a topic by the name that it is remapped to, as a subscription has it;
+        rclpy's own leaves a remapping out."""
+        return int(super().count_publishers(self.resolve_topic_name(topic_name)))
+
     def expect_one_publisher(self, topic: str, mixes: Callable[[], bool] = lambda: True) -> None:
         """Report it from now on when several publish a topic that this node reads.
 
