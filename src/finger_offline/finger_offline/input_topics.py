@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from finger_bag.mapping import MappedTopic
 from finger_bag.reader import BagReader
 from finger_bag.streams import IMAGES, find_topic, find_used, find_wrench, missing
+from finger_common.errors import listed
 
 from .process_options import ProcessOptions
 
@@ -29,6 +30,8 @@ class InputTopics:
     """Where the results go, such as "/finger"; "" for none."""
     replaced: frozenset[str]
     """Topics of the input that are not copied: the run writes its own."""
+    apart: str = ""
+    """What to say of a force and areas, or events, that may be of different fingers."""
 
     @classmethod
     def of(cls, reader: BagReader, options: ProcessOptions) -> InputTopics:
@@ -73,6 +76,7 @@ class InputTopics:
             events=recorded if follow else None,
             namespace=namespace,
             replaced=frozenset(replaced),
+            apart=_apart(options, wrench, None if from_images else area, recorded),
         )
 
     def used(self) -> list[str]:
@@ -83,3 +87,24 @@ class InputTopics:
     def result(self, name: str) -> str:
         """Absolute topic of a result, such as "contact_state"."""
         return f"{self.namespace}/{name}"
+
+
+def _apart(options: ProcessOptions, wrench: str, area: str | None, events: str | None) -> str:
+    """A warning where topics that were found by their names alone lie in several namespaces, as in
+    a bag of a hand in which one finger has no areas and another one no force."""
+    if options.namespace:
+        return ""
+    mapping = options.mapping
+    found = {
+        "contact_area": None if mapping.topic("contact_area").topic else area,
+        "model_events": None if mapping.topic("model_events").topic else events,
+    }
+    if options.wrench_topic == "wrench" and not mapping.topic("wrench").topic:
+        found["wrench"] = wrench
+    topics = sorted(topic for topic in found.values() if topic is not None)
+    if len({topic.rpartition("/")[0] for topic in topics}) < 2:
+        return ""
+    return (
+        f"{listed(topics)} are taken together, though their namespaces differ: if they are not of "
+        "one finger, choose with --namespace, or name the topics in a mapping file"
+    )

@@ -172,6 +172,8 @@ def _processed(
         result.notes.insert(0, f"areas measured with {told} of the area sensor")
     elif told:
         result.problems.append(f"areas are recorded, so that {told} is not used: give --images yes")
+    if topics.apart:
+        result.problems.insert(0, topics.apart)
     if estimator.model.doubt:
         result.notes.insert(0, estimator.model.doubt)
     if population:

@@ -543,6 +543,25 @@ def test_results_go_beside_the_former_ones_wherever_the_force_is(
     assert again == published and not any("no event tells" in note for note in result.notes)
 
 
+@pytest.mark.parametrize("given", [{}, {"namespace": "hand/thumb"}])
+def test_areas_of_another_finger_than_the_force_are_told(
+    session: Callable[..., Path], tmp_path: Path, given: dict[str, str]
+) -> None:
+    """A hand in which one finger has a camera and no force, the other a force and no camera."""
+    fingers = {"contact_area": "index"}
+    hand = tmp_path / "hand"
+    with open_bag(session(trials=1)) as reader, BagWriter(hand) as bag:
+        for item in reader.messages():
+            name = item.topic.removeprefix("/finger/")
+            topic = f"/hand/{fingers.get(name, 'thumb')}/{name}"
+            bag.add_topic(topic, item.type)
+            bag.write_raw(topic, item.raw, item.log_time_ns)
+    result = process(hand, tmp_path / "out", ProcessOptions(**given))
+    told = [p for p in result.problems if "/hand/index/contact_area, /hand/thumb/wrench" in p]
+    assert bool(told) == (result.areas > 0) == (not given)
+    assert all("--namespace" in problem for problem in told)
+
+
 @pytest.mark.parametrize("events", [None, 2.0])
 def test_states_older_than_every_event_are_told(tmp_path: Path, events: float | None) -> None:
     live_recording(tmp_path / "live")
