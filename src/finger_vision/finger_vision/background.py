@@ -56,6 +56,10 @@ MARK_NOISE, MARK_GREYS, MARKS_RENEWED = 3.0, 2.0, 8
 """Steps from pixel to pixel of the learned plate up to so many standard deviations of noise and
 greys are no marks. They are looked for in its first three frames and in every eighth."""
 
+NOISELESS, SAME_GREY = 0.5, 2.0
+"""Greys of noise below which a plate has none, and by which tiles of a plate of one grey differ at
+most."""
+
 POLARITIES = ("auto", "dark", "bright")
 """Touching ridges are darker or brighter than the plate; "auto" finds out in each frame."""
 
@@ -68,6 +72,7 @@ class Background:
     learned: false where it was guessed from the frame itself. noise: standard deviation of a
     pixel, greys. frame: the frame, (h, w) uint8, with plate in place of a dark border. border: mask
     of that border; None without one. lit: whether the frame has the light that the learned one has.
+    one_grey: whether a guessed plate has no noise and is of one grey, as where it is cut off.
     """
 
     image: np.ndarray
@@ -77,6 +82,7 @@ class Background:
     frame: np.ndarray
     border: np.ndarray | None = None
     lit: bool = True
+    one_grey: bool = False
 
 
 class LearnedBackground:
@@ -211,7 +217,15 @@ def background_of(
         frame = _filled(frame, border, cv2.erode if bright else cv2.dilate, envelope)
         mean, deviation = tile_statistics(frame)
     image = guess_background(frame, mean, deviation, bright, envelope)
-    return Background(image, bright, False, float(np.percentile(deviation, 10)), frame, border)
+    noise = float(np.percentile(deviation, 10))
+    one_grey = noise < NOISELESS and _is_of_one_grey(mean[plate_tiles(deviation)])
+    return Background(image, bright, False, noise, frame, border, one_grey=one_grey)
+
+
+def _is_of_one_grey(tiles: np.ndarray) -> bool:
+    """Whether tiles (n,) of a plate have one grey. The light leaves several where compression or
+    coarse greys have taken the noise away: their steps are no skin."""
+    return len(tiles) > 0 and float(np.ptp(np.percentile(tiles, (10, 90)))) < SAME_GREY
 
 
 def gain_of(ratios: np.ndarray, spread: float = ONE_RATIO) -> float:

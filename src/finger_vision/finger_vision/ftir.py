@@ -270,6 +270,7 @@ class FtirSegmenter(AreaSensor):
             settings.minimum_contrast,
             grid,
             self._followed,
+            background.one_grey,
         )
         self.steps = Steps(frame, background.image, contrast, ridges)
         flags = AreaFlag(0)

@@ -101,12 +101,13 @@ def find_ridges(
     minimum_contrast: float,
     grid: WorkingGrid,
     past: Followed | None = None,
+    one_grey: bool = False,
 ) -> Ridges | None:
     """Ridges of the pressing finger in a contrast image (h, w) uint8; None without contact.
 
     noise: standard deviation of the contrast. learned: whether the background was learned.
     minimum_contrast: fraction of the grey range. past: `followed` of the frame before, None after
-    one without contact.
+    one without contact. one_grey: whether the plate is, as of `Background`.
     """
     # Certain skin, at a quarter of the working resolution, selects the part to examine further.
     columns, rows = contrast.shape[1] // 2, contrast.shape[0] // 2
@@ -123,8 +124,8 @@ def find_ridges(
     box = _box(core, grid)
     if box is None:
         return None
-    # A plate so even that it has no noise is clipped to white: no earlier print could show on it.
-    share = FAINT_SHARE if learned or noise < 0.5 else FAINT_SHARE_GUESSED
+    # A plate of one grey is clipped to white: no earlier print could show on it.
+    share = FAINT_SHARE if learned or one_grey else FAINT_SHARE_GUESSED
     part, above_noise = contrast[box], 5 * noise
     if above_noise > 0.6 * strong:
         part = cv2.GaussianBlur(part, (0, 0), SMOOTHED)

@@ -993,3 +993,15 @@ def test_a_shaking_camera_makes_no_ridges_of_scratches_and_dust(bright: bool, ti
             error.append(seen.gross_area / frame.gross_area - 1)
     print(f"median {np.median(error):+.3f}, largest {np.abs(error).max():.3f}")
     assert np.abs(error).max() < 0.07
+
+
+@pytest.mark.parametrize("skin", ["natural", "moist"])
+def test_steps_of_compression_on_a_plate_without_noise_are_no_skin(skin: str) -> None:
+    """JPEG takes the noise away, and the light leaves steps: the plate is not cut off at white."""
+    renderer = FtirRenderer(skin, 2, Scene(background=170, latent=0.0), 640, 480)
+    frame = renderer.render_frame([Contact(4e-3, aspect=1.2)])
+    coded = cv2.imencode(".jpg", frame.image, [cv2.IMWRITE_JPEG_QUALITY, 15])[1]
+    picture = cv2.imdecode(coded, cv2.IMREAD_GRAYSCALE)
+    seen = FtirSegmenter(calibration=renderer.calibration()).measure(picture)
+    assert seen.flags == AreaFlag.NO_BACKGROUND
+    assert seen.gross_area == pytest.approx(frame.gross_area, rel=0.05)
