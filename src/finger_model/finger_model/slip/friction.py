@@ -131,7 +131,7 @@ class PullNow(NamedTuple):
 
 
 @njit(cache=True)
-def _normal(x):
+def _normal_cdf(x):
     """Distribution function of the normal distribution."""
     return 0.5 * math.erfc(-x * 0.7071067811865476)
 
@@ -375,7 +375,7 @@ def end_contact(friction, prior, drift):
         width = _edge_width(friction, drift)
         likelihood = np.empty(GRID)
         for g in range(GRID):
-            edge = _normal((LOG_FRICTION[g] - math.log(friction.largest_held_ratio)) / width)
+            edge = _normal_cdf((LOG_FRICTION[g] - math.log(friction.largest_held_ratio)) / width)
             likelihood[g] = edge + 1e-6
         _update(belief, friction.held_direction[0], friction.held_direction[1], likelihood, 0.0)
     friction.largest_held_ratio = 0.0
@@ -434,7 +434,7 @@ def _likelihood(share, log_ratio, spread, log_friction):
     slip before friction is asked; spread: of ln r in slip."""
     z = (log_ratio - log_friction) / spread
     slip = share * math.exp(-0.5 * z * z) / (spread * 2.5066282746)
-    hold = (1.0 - share) * HOLD_DENSITY * _normal(-z)
+    hold = (1.0 - share) * HOLD_DENSITY * _normal_cdf(-z)
     return slip + hold + 1e-9, slip
 
 
@@ -531,7 +531,7 @@ def evaluate(friction, drift, plateau, now, out):
     edge_width = math.hypot(_edge_width(friction, drift), error)
     log_weight = np.empty(GRID)
     for g in range(GRID):
-        edge = _normal((LOG_FRICTION[g] - edge_at) / edge_width)
+        edge = _normal_cdf((LOG_FRICTION[g] - edge_at) / edge_width)
         log_weight[g] = directional.log_weight[g] + (math.log(edge) if edge > 0.0 else -math.inf)
     top = log_weight.max()
     total, mean, square, slip_total, probability = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -554,7 +554,7 @@ def evaluate(friction, drift, plateau, now, out):
         square += weight * directional.square[g]
         slip_total += weight * slip
         if now.judged:
-            coming = _normal((log_ahead - x) / now.spread)
+            coming = _normal_cdf((log_ahead - x) / now.spread)
             probability += weight * max(slip, coming)
             s = (1.0 - slip) * _first_stick(now.beyond, now.with_load, slips_at)
             stick_mean += weight * s

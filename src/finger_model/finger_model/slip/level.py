@@ -126,13 +126,13 @@ def update(level, log_friction, ratio, u0, u1, sd):
     """Update by a slip at this ratio ± sd in the direction u; log_friction: mean ln μ then."""
     _refer(level, log_friction)
     friction = math.exp(log_friction)
-    gain = 1.0 + friction * friction
-    u0, u1 = gain * u0, gain * u1
+    # The ratio changes by h·t with the tilt t.
+    h0, h1 = (1.0 + friction * friction) * u0, (1.0 + friction * friction) * u1
     v = level.variance
-    g0, g1 = v[0, 0] * u0 + v[0, 1] * u1, v[0, 1] * u0 + v[1, 1] * u1
-    total = g0 * u0 + g1 * u1 + sd * sd
-    gap = ratio - friction - level.tilt[0] * u0 - level.tilt[1] * u1
-    turn = -friction - level.slope[0] * u0 - level.slope[1] * u1
+    g0, g1 = v[0, 0] * h0 + v[0, 1] * h1, v[0, 1] * h0 + v[1, 1] * h1
+    total = g0 * h0 + g1 * h1 + sd * sd
+    gap = ratio - friction - level.tilt[0] * h0 - level.tilt[1] * h1
+    turn = -friction - level.slope[0] * h0 - level.slope[1] * h1
     k0, k1 = g0 / total, g1 / total
     if math.hypot(level.tilt[0] + k0 * gap, level.tilt[1] + k1 * gap) > LARGEST * level.sd:
         return  # no tilt makes this: what follows P is no slip, or another surface
