@@ -30,8 +30,8 @@ MEASURED = np.dtype(
 
 
 @njit(cache=True)
-def measured_anew(measured, stamp, normal, q0, q1):
-    """Whether this sample (N) at a stamp (ns) is more than the one before again."""
+def take_sample(measured, stamp, normal, q0, q1):
+    """Take a sample (N) at a stamp (ns); whether it was measured anew, and is not repeated."""
     sample, lasted = measured.sample, measured.lasted
     same_for = (stamp - measured.since) * 1e-9
     if normal != sample[0] or q0 != sample[1] or q1 != sample[2]:

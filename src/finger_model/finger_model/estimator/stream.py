@@ -426,9 +426,9 @@ def _apply_constants(model, state):
 
 @njit(cache=True)
 def _update_noise(stream, stamp, normal, a, b):
-    """Noise of the normal force (N), by a valid sample of it and of the lateral forces."""
+    """Update the noise of the normal force (N) by a valid sample of it and of the lateral ones."""
     dt = (stamp - stream.measured.stamp) * 1e-9
-    if not force_noise.measured_anew(stream.measured, stamp, normal, a, b):
+    if not force_noise.take_sample(stream.measured, stamp, normal, a, b):
         return
     rough = force_noise.roughness(normal, stream.forces[0], stream.forces[1])
     stream.forces[1], stream.forces[0] = stream.forces[0], normal

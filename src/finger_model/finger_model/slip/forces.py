@@ -54,6 +54,7 @@ FORCES = np.dtype(
         ("last_normal", "f8", (2,)),  # N, P of the two samples before
         ("normal_variance", "f8"),  # N², of a sample of P, as the samples show it
         ("normal_time", "f8"),  # s, over which it was averaged
+        ("normal_noise", "f8"),  # N, of a sample of P
         ("seen_variance", "f8"),  # N², of a sample of Q, as the samples show it
         ("seen_time", "f8"),  # s, over which it was averaged
         ("noise", "f8"),  # N, of a sample of Q
@@ -98,8 +99,8 @@ def _track(track, part, tau, dt, values):
 
 
 @njit(cache=True)
-def _roughness(forces, q0, q1):
-    """What this sample of Q shows of its variance (N²)."""
+def _take_rough(forces, q0, q1):
+    """Take a sample of Q into `last`; what it shows of its variance (N²)."""
     last = forces.last
     rough = force_noise.roughness(q0, last[0, 0], last[1, 0])
     rough = 0.5 * (rough + force_noise.roughness(q1, last[0, 1], last[1, 1]))
@@ -109,8 +110,8 @@ def _roughness(forces, q0, q1):
 
 
 @njit(cache=True)
-def noise_of_normal(forces, noise, dt, normal):
-    """Noise (N) of P, that of the settings or more where its samples show more: also of a grip that
+def see_normal_noise(forces, noise, dt, normal):
+    """Noise of P, that of the settings or more where its samples show more: also of a grip that
     trembles."""
     last = forces.last_normal
     rough = force_noise.roughness(normal, last[0], last[1])
@@ -119,13 +120,13 @@ def noise_of_normal(forces, noise, dt, normal):
         forces.normal_variance, forces.normal_time = force_noise.averaged(
             forces.normal_variance, forces.normal_time, rough, noise * noise, dt
         )
-    return max(noise, math.sqrt(forces.normal_variance))
+    forces.normal_noise = max(noise, math.sqrt(forces.normal_variance))
 
 
 @njit(cache=True)
 def see_noise(forces, noise, dt, q0, q1):
     """Noise of Q, that of the settings or more where its samples show more, and that of `fast`."""
-    rough = _roughness(forces, q0, q1)
+    rough = _take_rough(forces, q0, q1)
     if dt <= LONGEST_STEP:
         forces.seen_variance, forces.seen_time = force_noise.averaged(
             forces.seen_variance, forces.seen_time, rough, noise * noise, dt
@@ -170,7 +171,7 @@ def see_air(forces, noise, stamp, dt, q0, q1):
         leave(forces, stamp)
     s0 = _middle(q0, forces.last[0, 0], forces.last[1, 0])
     s1 = _middle(q1, forces.last[0, 1], forces.last[1, 1])
-    rough = _roughness(forces, q0, q1)
+    rough = _take_rough(forces, q0, q1)
     if stamp < air.begin:
         return
     air.rough_samples += 1.0

@@ -342,7 +342,7 @@ def process_sample(config, state, sample, out):
     if changed and not state.friction.belief.has_evidence:
         friction.set_prior(config.prior, state.friction, moisture)
     dt, step = (stamp - state.stamp) * 1e-9, (stamp - state.measured.stamp) * 1e-9
-    anew = force_noise.measured_anew(state.measured, stamp, normal, q0, q1)
+    anew = force_noise.take_sample(state.measured, stamp, normal, q0, q1)
     dt, tells = _track_contact(config, state, sample, dt, step, anew)
     _write_slips(state, out)
     now = _judge_pull(config, state, sample, tells)

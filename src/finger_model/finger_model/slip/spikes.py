@@ -132,8 +132,8 @@ def take(state, noise, stamp, step, normal, q0, q1):
     """Let the filters take a sample (N) of a contact, step (s) after the one before; whether it
     tells something. noise (N): that of the settings."""
     spikes, tracked, values = state.spikes, state.forces, np.array((normal, q0, q1))
-    rough = forces.noise_of_normal(tracked, noise, step, normal)
-    of_normal = _take_part(state, spikes.normal, NORMAL, rough, stamp, step, values)
+    forces.see_normal_noise(tracked, noise, step, normal)
+    of_normal = _take_part(state, spikes.normal, NORMAL, tracked.normal_noise, stamp, step, values)
     of_lateral = _take_part(state, spikes.lateral, LATERAL, tracked.noise, stamp, step, values)
     if of_lateral > 0.0:
         forces.see_noise(tracked, noise, of_lateral, q0, q1)
