@@ -115,7 +115,7 @@ class Press:
         if attempt.onset_ns is None:
             return None
         if attempt.cue_ns is None:
-            cue = self._cue(stamp_ns, normal_force, tangential_force)
+            cue = self._give_cue(stamp_ns, normal_force, tangential_force)
             if cue is not None:
                 self._below_since = None
                 return cue
@@ -151,17 +151,18 @@ class Press:
         lets it: the zero was set to a force."""
         return self._largest_fall >= 0.5 * force
 
-    def _cue(
+    def _give_cue(
         self, stamp_ns: int, normal_force: float, tangential_force: float
     ) -> PressEvent | None:
-        """The cue that a sample before the cue to lift brings."""
-        if not self._is_held(stamp_ns, normal_force):
+        """Give the cue that a sample before the cue to lift brings, and note its stamp."""
+        if not self._hold_target(stamp_ns, normal_force):
             return None
         self.attempt.cue_ns = stamp_ns
         return PressEvent.TARGET_REACHED
 
-    def _is_held(self, stamp_ns: int, normal_force: float) -> bool:
-        """Whether the target was reached, and held as long as is asked for."""
+    def _hold_target(self, stamp_ns: int, normal_force: float) -> bool:
+        """Follow the force to the target and while it is held, and note what was not as is asked
+        for; whether it was held long enough."""
         guided, onset = self.guided, self.attempt.onset_ns
         assert onset is not None
         if self._reached is None and normal_force >= self.target_force:
@@ -227,8 +228,9 @@ class Press:
         """Why the press is not valid: what was noticed on the way, then the reason for its end."""
         return "; ".join(filter(None, [*self.problems, reason]))
 
-    def verdict(self) -> str:
-        """Why the press is not valid, empty when it is; once the finger is off the plate."""
+    def judge(self) -> str:
+        """Judge the press once the finger is off the plate: count its frames, compare the zeros;
+        why it is not valid, empty when it is."""
         attempt, target = self.attempt, self.target_force
         self._judge_zero()
         if self.guided.text and attempt.peak_force > TOO_HARD * target:

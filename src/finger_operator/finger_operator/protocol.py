@@ -367,7 +367,7 @@ class Protocol:
             self._enter(Step.PULL, stamp_ns)
         elif event is PressEvent.FINGER_OFF:
             self._lifted_at = self._now
-            reason = self._press.verdict()
+            reason = self._press.judge()
             if reason:
                 self._fail(reason)
             elif self.plan.readings:

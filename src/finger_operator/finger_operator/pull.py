@@ -51,12 +51,12 @@ class Pull(Press):
         self._sticks_at: int | None = None
         self.ratio = 0.0
 
-    def _cue(
+    def _give_cue(
         self, stamp_ns: int, normal_force: float, tangential_force: float
     ) -> PressEvent | None:
         attempt = self.attempt
         if attempt.pull_ns is None:
-            if not self._is_held(stamp_ns, normal_force):
+            if not self._hold_target(stamp_ns, normal_force):
                 return None
             attempt.pull_ns = stamp_ns
             return PressEvent.PULL_BEGINS
