@@ -100,7 +100,7 @@ class CameraNode(DeviceNode):
         if not self.accept_stamp(stamp):
             return
         self._shape = frame.image.shape
-        if self._freeze.frozen(frame.image):
+        if self._freeze.add(frame.image):
             self.device.note("frozen", "the camera repeats the same image; restart it", ERROR)
             return
         self.device.cleared("frozen")

@@ -236,7 +236,7 @@ class ClockMapper:
 
 
 class StampStatistics:
-    """Intervals between stamps since `notes` was called last. One thread adds, another reads."""
+    """Intervals between stamps since the last `take_notes`. One thread adds, another takes."""
 
     def __init__(self) -> None:
         self._stamps: list[int] = []
@@ -247,7 +247,7 @@ class StampStatistics:
         if len(self._stamps) < 20_000:
             self._stamps.append(stamp_ns)
 
-    def notes(self) -> dict[str, str]:
+    def take_notes(self) -> dict[str, str]:
         """Standard deviation and maximum of the intervals in ms; empty below three stamps."""
         stamps = self._stamps
         if len(stamps) < 3:

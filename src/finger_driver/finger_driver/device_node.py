@@ -139,7 +139,7 @@ class DeviceNode(ManagedNode):
     def publish_diagnostics(self) -> None:
         if self._configured:
             health = self.device.health
-            health.notes.update(self._statistics.notes())
+            health.notes.update(self._statistics.take_notes())
             warning = self.device.clock.step_warning("stamps")
             self.device.note_if(bool(warning), "clock_step", warning)
         super().publish_diagnostics()

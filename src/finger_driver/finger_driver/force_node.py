@@ -136,7 +136,7 @@ class ForceNode(DeviceNode):
             bias = self._bias
             if bias is not None:
                 wrench = self.device.wrench_of(sample.channels - bias)
-                if not self._zero_holds(sample.stamp_ns, wrench[:3]):
+                if not self._check_zero(sample.stamp_ns, wrench[:3]):
                     return None
                 tared = wrench.tolist()
         # First to whom a delay matters.
@@ -150,13 +150,14 @@ class ForceNode(DeviceNode):
             before = np.array(self._newest[:3])
             self._zero_check = ZeroCheck(before, self.values["tare_shift_limit"])
 
-    def _zero_holds(self, stamp_ns: int, force: np.ndarray) -> bool:
-        """Whether a force (3,) in N with the zero in force may be published: not in the first
-        moments after the connection was lost, which show whether the zero is still right."""
+    def _check_zero(self, stamp_ns: int, force: np.ndarray) -> bool:
+        """Check the zero in force after the connection was lost, by a force (3,) in N with it, and
+        end the tare where it is not right; whether that force may be published: not before it is
+        known."""
         check = self._zero_check
         if check is None:
             return True
-        holds = check.holds(stamp_ns, force)
+        holds = check.add(stamp_ns, force)
         if holds is None:
             return False
         self._zero_check = None

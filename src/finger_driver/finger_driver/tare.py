@@ -27,6 +27,8 @@ class TareCollector:
 
     PARTS, FILLED = 10, 8
     """Parts of the duration, and how many of them must have samples."""
+    MOST_BAD = 10
+    """Samples that are not good beyond which the tare ends."""
 
     def __init__(self, duration: float, force_limit: float, torque_limit: float) -> None:
         self._duration = duration
@@ -39,7 +41,7 @@ class TareCollector:
         """Take a sample; true when the duration is covered."""
         if sample.quality != GOOD:
             self._bad += 1
-            return self._bad > 10
+            return self._bad > self.MOST_BAD
         self._stamps.append(sample.stamp_ns)
         self._channels.append(sample.channels)
         return (self._stamps[-1] - self._stamps[0]) * 1e-9 >= self._duration
@@ -49,7 +51,7 @@ class TareCollector:
 
         Raises DeviceError with the reason where that is no tare.
         """
-        if self._bad > 10:
+        if self._bad > self.MOST_BAD:
             raise DeviceError("the sensor reports faults")
         if len(self._channels) < 2 * self.PARTS:
             raise DeviceError(
@@ -91,8 +93,9 @@ class ZeroCheck:
         self._forces: list[np.ndarray] = []
         self._begin: int | None = None
 
-    def holds(self, stamp_ns: int, force: np.ndarray) -> bool | None:
-        """Take the force (3,) in N with that zero; None while that is not known yet."""
+    def add(self, stamp_ns: int, force: np.ndarray) -> bool | None:
+        """Take the force (3,) in N with that zero; whether the zero holds, None while that is not
+        known yet."""
         if self._begin is None:
             self._begin = stamp_ns
         self._forces.append(force)

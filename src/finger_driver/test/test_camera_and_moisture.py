@@ -607,27 +607,27 @@ def test_ueye_that_could_not_be_closed_is_closed_before_it_is_opened_again() -> 
 
 def test_frozen_is_distinguished_from_dark() -> None:
     detector = FreezeDetector(3)
-    assert [detector.frozen(picture()) for _ in range(4)] == [False, False, True, True]
-    assert not detector.frozen(picture(1))
+    assert [detector.add(picture()) for _ in range(4)] == [False, False, True, True]
+    assert not detector.add(picture(1))
     detector = FreezeDetector(3)
-    assert not any(detector.frozen(np.zeros((4, 4), np.uint8)) for _ in range(10))
+    assert not any(detector.add(np.zeros((4, 4), np.uint8)) for _ in range(10))
 
 
 @pytest.mark.parametrize("ring", [2, 4, 8])
 def test_a_ring_of_buffers_that_comes_again_is_frozen(ring: int) -> None:
     detector = FreezeDetector(10)
-    frozen = [detector.frozen(picture(k % ring)) for k in range(40)]
+    frozen = [detector.add(picture(k % ring)) for k in range(40)]
     assert not any(frozen[: ring + 8]) and all(frozen[ring + 8 :])
     # An image without noise of something that moves there and back is not.
     there = [*range(20), 19, 19]
-    assert not any(detector.frozen(picture(100 + k)) for k in there + there[::-1])
+    assert not any(detector.add(picture(100 + k)) for k in there + there[::-1])
 
 
 def test_a_covered_lens_with_pixels_that_flicker_is_not_frozen():
     detector, random = FreezeDetector(10), np.random.default_rng(0)
     dark = np.zeros((4, 300, 8, 8), dtype=np.uint8).reshape(-1, 8, 8)[:300]
     dark[:, 0, :2] = random.integers(0, 2, (300, 2))
-    frozen = [detector.frozen(image) for image in dark]
+    frozen = [detector.add(image) for image in dark]
     assert np.mean(frozen) < 0.02
 
 

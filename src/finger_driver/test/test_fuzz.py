@@ -142,7 +142,7 @@ def rdt_datagrams(random_: random.Random) -> Iterator[None]:
         try:
             for decoded in rdt.decode_datagram(data):
                 for in_order in source._in_order(decoded, source.clock.now()):
-                    source._sample_of(*in_order)
+                    source._take(*in_order)
         except DeviceError:
             source._begin()
         try:

@@ -325,7 +325,7 @@ class Stream:
         internal = round((number if measured is None else measured) * self._step)
         record = rdt.Record(number, internal, status, (0, 0, number * 1000, 0, 0, 0))
         usable = self.source._in_order(record, self._now)
-        samples = [self.source._sample_of(*one) for one in usable]
+        samples = [self.source._take(*one) for one in usable]
         return [sample for sample in samples if sample is not None]
 
     def time_of(self, sample: WrenchSample) -> float:
@@ -572,7 +572,7 @@ class Dbc:
         message = frame(identifier, data)
         # A float of this size has steps of 0.24 µs.
         message.timestamp = self.now * 1e-9
-        return self.source._sample_of(message)
+        return self.source._take(message)
 
 
 @pytest.mark.parametrize("within", [0.001, 0.005])

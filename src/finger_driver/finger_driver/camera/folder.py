@@ -91,7 +91,7 @@ class FolderSource(CameraSource):
     def read(self, timeout: float = 1.0) -> Frame | None:
         end = time.monotonic() + timeout
         while True:
-            waiting = self._waiting()
+            waiting = self._look()
             if waiting:
                 if len(waiting) > _BACKLOG:
                     self.health.count("skipped", len(waiting) - _BACKLOG)
@@ -110,8 +110,9 @@ class FolderSource(CameraSource):
                 return None
             time.sleep(_POLL)
 
-    def _waiting(self) -> list[tuple[tuple[int, int], str]]:
-        """New frames, the oldest first: stamp on the node's clock and number, name of the file."""
+    def _look(self) -> list[tuple[tuple[int, int], str]]:
+        """Look into the folder; its new frames, the oldest first: stamp on the node's clock and
+        number, name of the file."""
         if not self._connected:
             raise DeviceError(f"{self._folder}: not connected")
         now, names, shift = self.clock.now(), self._names(), self.clock.of_wall(0)

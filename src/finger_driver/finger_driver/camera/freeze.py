@@ -27,8 +27,8 @@ class FreezeDetector:
         self._known: deque[int] = deque(maxlen=_BUFFERS)
         self._period = self._number = 0
 
-    def frozen(self, image: np.ndarray) -> bool:
-        """Whether this image (H, W) uint8 is at least the `limit`-th of a row."""
+    def add(self, image: np.ndarray) -> bool:
+        """Take an image (H, W) uint8; whether it is at least the `limit`-th of a row."""
         if not self._limit:
             return False
         key = zlib.crc32(np.ascontiguousarray(image).data)

@@ -189,7 +189,7 @@ class OpenCvSource(CameraSource):
         if self._grabber is None:
             return self._play(timeout)
         taken = self._grabber.take(timeout)
-        if (exposure := self._grabber.new_exposure()) is not None:
+        if (exposure := self._grabber.take_exposure()) is not None:
             self._tell_exposure(*exposure)
         now = time.monotonic()
         if taken is None:
@@ -269,8 +269,8 @@ class _Grabber(threading.Thread):
         age = steady - self._capture.get(cv2.CAP_PROP_POS_MSEC) * 1e-3
         return now - nanoseconds(age) if 0 <= age < 1 else now
 
-    def new_exposure(self) -> tuple[bool, float] | None:
-        """What the last look gave, None when that was given before."""
+    def take_exposure(self) -> tuple[bool, float] | None:
+        """What the last look gave, None when that was taken before."""
         exposure, told = self.exposure, self._told
         self._told = exposure
         return None if exposure is told else exposure

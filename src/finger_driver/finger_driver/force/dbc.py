@@ -180,7 +180,7 @@ class DbcSource(ForceSource):
             # First what waits: before a request it is old, and this process may have stood still.
             frame = self._bus.recv(max(until - now, 0.0))
             if frame is not None:
-                sample = self._sample_of(frame)
+                sample = self._take(frame)
                 if sample is not None:
                     return sample
             elif request is not None:
@@ -202,7 +202,8 @@ class DbcSource(ForceSource):
             self._deadline = time.monotonic() + timeout
             self._asked = True
 
-    def _sample_of(self, frame: can.Message) -> WrenchSample | None:
+    def _take(self, frame: can.Message) -> WrenchSample | None:
+        """Take in a frame; the sample that it completes, if it does."""
         if frame.is_error_frame:
             self.note("bus_errors", "the bus carries error frames; check wiring and bit rate")
             return None
@@ -238,7 +239,7 @@ class DbcSource(ForceSource):
         stamp, signals = done
         if polled:
             stamp = (self._sent + stamp) // 2
-        if self._repeated(signals, stamp):
+        if self._follow_counter(signals, stamp):
             return None
         quality = self._quality(signals)
         return WrenchSample.of_wrench(stamp, self._mapping.wrench(signals), quality, quality)
@@ -248,8 +249,9 @@ class DbcSource(ForceSource):
         last_second = self.clock.now() - NANOSECONDS
         return self.clock.of_stamp(can_bus.stamp_of(frame), earliest=last_second)
 
-    def _repeated(self, signals: dict[str, Any], stamp: int) -> bool:
-        """Whether the sensor's counter stands still; samples that it passed over are counted."""
+    def _follow_counter(self, signals: dict[str, Any], stamp: int) -> bool:
+        """Follow the sensor's counter, and count the samples that it passed over; whether it stands
+        still."""
         if self._mapping.counter is None:
             return False
         signal, modulus = self._mapping.counter

@@ -286,7 +286,7 @@ class NetFtSource(ForceSource):
         end = time.monotonic() + timeout
         while True:
             while self._records:
-                sample = self._sample_of(*self._records.popleft())
+                sample = self._take(*self._records.popleft())
                 if sample is not None:
                     return sample
             # First what waits in the socket: this process may have stood still, not the box.
@@ -378,7 +378,8 @@ class NetFtSource(ForceSource):
             )
             self._lost = self._due = 0
 
-    def _sample_of(self, record: rdt.Record, received: int) -> WrenchSample | None:
+    def _take(self, record: rdt.Record, received: int) -> WrenchSample | None:
+        """Take in a record, received at host time (ns); the sample of a block that ends."""
         newest, self._newest = self._newest, record
         if newest is not None and newest.ft_sequence == record.ft_sequence:
             self.health.count("repeated")
