@@ -104,11 +104,12 @@ class FitRequestNode(ManagedNode):
                 raise FitFailed("the fit node ended before the fit did; its log names the reason")
         elif self._waited > self.values["server_timeout"]:
             raise FitFailed("the fit node is not active; check whether it runs and was configured")
-        elif self._goal is None and self._fit_is_active() and not self._unseen:
+        elif self._goal is None and self._ask_fit_node() and not self._unseen:
             self._send()
 
-    def _fit_is_active(self) -> bool:
-        """Whether the fit node is active by its last answer; it refuses goals before."""
+    def _ask_fit_node(self) -> bool:
+        """Ask the fit node for its state where no answer is awaited; whether it is active by the
+        answer that has come: it refuses goals before."""
         if self._state is not None:
             since, asked = self._state
             if asked.done():

@@ -31,10 +31,10 @@ class RestartDelay(Pauses):
         super().__init__(first, longest)
         self._ends = 0
 
-    def refused(self, code: int, duration: float) -> bool:
-        """Whether a process that ended with this exit code after `duration` (s) stays down: it
-        could not begin at its first start, as with a parameter file that cannot be read. To be
-        asked at each end."""
+    def note_end(self, code: int, duration: float) -> bool:
+        """Note an end of the process with this exit code after `duration` (s); whether it stays
+        down: it could not begin at its first start, as with a parameter file that cannot be read.
+        """
         self._ends += 1
         return code == EXIT_BAD_INPUT and self._ends == 1 and duration < BEGINS_WITHIN
 

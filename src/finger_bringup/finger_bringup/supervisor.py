@@ -218,7 +218,7 @@ class Supervisor:
             self._report(running.spec.name, f"{how}; ending all")
             running.process = None
             self._end_all(code)
-        elif running.spec.restart and not running.delay.refused(code, now - running.started):
+        elif running.spec.restart and not running.delay.note_end(code, now - running.started):
             delay = running.delay.after_running(now - running.started)
             self._report(running.spec.name, f"{how}; starting it again in {delay:g} s")
             running.restart_at = now + delay

@@ -417,9 +417,9 @@ def test_restarts_slow_down_and_are_quick_again_after_a_stable_minute() -> None:
     delay = RestartDelay()
     assert [delay.after_running(0.1) for _ in range(6)] == [1.0, 2.0, 4.0, 8.0, 15.0, 15.0]
     assert delay.after_running(61.0) == 1.0
-    assert RestartDelay().refused(2, 1.0)
-    assert not RestartDelay().refused(1, 1.0) and not RestartDelay().refused(2, 3600.0)
-    assert not delay.refused(1, 1.0) and not delay.refused(2, 1.0)
+    assert RestartDelay().note_end(2, 1.0)
+    assert not RestartDelay().note_end(1, 1.0) and not RestartDelay().note_end(2, 3600.0)
+    assert not delay.note_end(1, 1.0) and not delay.note_end(2, 1.0)
 
 
 def test_a_replay_has_areas_whatever_the_images_of_the_bag(

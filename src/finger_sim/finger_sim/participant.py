@@ -174,7 +174,7 @@ class Participant:
             return
         if phase not in (TrialPhase.MOISTURE_BEFORE, TrialPhase.PRESS, TrialPhase.MOISTURE_AFTER):
             return
-        trial = self._planned(request)
+        trial = self._take_up(request)
         if trial is None:
             return
         if phase == TrialPhase.PRESS:
@@ -184,8 +184,9 @@ class Participant:
         else:
             self._give_readings(trial.moisture[READINGS_PER_TRIAL // 2 :], AFTER)
 
-    def _planned(self, request: TrialRequest) -> PlannedTrial | None:
-        """The current trial; the frames of the one before are deleted. None when stopped."""
+    def _take_up(self, request: TrialRequest) -> PlannedTrial | None:
+        """Make a trial the current one, wait until it is planned, and delete the frames of the one
+        before; None when stopped."""
         if self._trial is None or self._trial.request != request:
             for path in self._trial.frames if self._trial is not None else ():
                 path.unlink(missing_ok=True)

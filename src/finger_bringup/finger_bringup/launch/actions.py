@@ -158,7 +158,7 @@ def _kept_running(
                 raise RuntimeError(f"'{entry.name}' failed; the lines above name the cause")
             return [EmitEvent(event=Shutdown(reason=f"'{entry.name}' has ended"))]
         duration = time.monotonic() - started
-        if not (respawn and entry.restart) or delay.refused(event.returncode, duration):
+        if not (respawn and entry.restart) or delay.note_end(event.returncode, duration):
             return [LogInfo(msg=f"{entry.name} ended; it is not started again")]
         wait = delay.after_running(duration)
         again = OpaqueFunction(function=lambda _: _kept_running(entry, make, delay, respawn))
