@@ -161,7 +161,7 @@ class VisionNode(ManagedNode):
         """s between the newest images."""
         self._camera: Any = None
         self._answer: Any = None
-        """Client and answer of `_state_of_camera`."""
+        """Client and answer of `_ask_camera`."""
         # A few images of depth, so that the node, not the middleware, drops and counts them.
         compressed = self.values["image_transport"] == "compressed"
         self._source = "image_raw/compressed" if compressed else "image_raw"
@@ -245,7 +245,7 @@ class VisionNode(ManagedNode):
         self.health.cleared("light", "frame", "failure")
         if measurement.flags & AreaFlag.NO_CONTACT:
             self.health.count("without_contact")
-        doubt, text = self._doubt(measurement, stamp_of(message.header.stamp))
+        doubt, text = self._look_for_doubt(measurement, stamp_of(message.header.stamp))
         for key in DOUBTS:
             if key == doubt:
                 self.log_fault(self.health, key, text, WARN)
@@ -263,12 +263,12 @@ class VisionNode(ManagedNode):
             overlay.data = picture.tobytes()
             self._overlays.publish(overlay)
 
-    def _doubt(self, measurement: ContactMeasurement, stamp: int) -> tuple[str, str]:
-        """Which of DOUBTS there is, and what to say of it, in an image of `stamp` (ns); both empty
-        where there is none."""
+    def _look_for_doubt(self, measurement: ContactMeasurement, stamp: int) -> tuple[str, str]:
+        """Compare an image of `stamp` (ns) with those before; which of DOUBTS there is, and what to
+        say of it, both empty where there is none."""
         still, self._still = self._still, None
         self._stands = False
-        jumped = self._jumped(stamp)
+        jumped = self._note_stamp(stamp)
         if measurement.flags & PALE_PRINT == PALE_PRINT:
             return "contrast", (
                 "no contact can be seen: the plate is too dark, a print is too pale, or an earlier "
@@ -295,8 +295,9 @@ class VisionNode(ManagedNode):
             "presses, sweat or dirt counts as one: clean the plate, then call ~/reset"
         )
 
-    def _jumped(self, stamp: int) -> bool:
-        """Whether the stamp (ns) of the next image goes back, or far ahead, for its camera."""
+    def _note_stamp(self, stamp: int) -> bool:
+        """Note the stamp (ns) of the next image; whether it goes back, or far ahead, for its
+        camera."""
         before, self._last_stamp = self._last_stamp, stamp
         if before is None:
             return False
@@ -362,7 +363,7 @@ class VisionNode(ManagedNode):
         if period > SILENCE and silent < 2 * period:
             return f"an image comes only every {period:.0f} s; check the rate of the camera"
         # Asked in time, so that the answer is there.
-        name, state = self._state_of_camera() if silent > SILENCE / 2 else ("", "")
+        name, state = self._ask_camera() if silent > SILENCE / 2 else ("", "")
         if silent <= SILENCE:
             return ""
         reason = "large images need the profile of docs/devices.md"
@@ -370,9 +371,9 @@ class VisionNode(ManagedNode):
             reason = f"{name} is {state}; activate it"
         return f"no image for {silent:.0f} s; {reason}"
 
-    def _state_of_camera(self) -> tuple[str, str]:
-        """Name of the node that publishes images, and its lifecycle state by its answer to the last
-        call; empty where it has given none."""
+    def _ask_camera(self) -> tuple[str, str]:
+        """Ask the node that publishes images for its lifecycle state; its name, and the state by
+        its answer to the last call, empty where it has given none."""
         publishers = self.get_publishers_info_by_topic(self._source)
         if not publishers:
             return "", ""
