@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from device_process import Observer, device
 
-from finger_common.diagnostics import ERROR
+from finger_common.diagnostics import ERROR, HealthReport
 from finger_common.errors import InputError
 from finger_common.plugins import PluginKind
 from finger_common.settings import Settings, parameters_of
@@ -184,6 +184,26 @@ def test_sensors_that_cannot_be_used_are_named_in_one_sentence_and_stop_no_other
     assert "netcanoem" in simulators and any("unusable:Missing" in p for p in problems)
 
 
+def refused_by_a_node(device: str, domain: int) -> HealthReport:
+    """What a force node shows of a sensor with which it cannot be brought up."""
+    rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+    from rclpy.parameter import Parameter
+
+    from finger_driver.force_node import ForceNode
+
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=domain)
+    try:
+        overrides = [Parameter("device", value=device)]
+        node = ForceNode(context=context, parameter_overrides=overrides)
+        assert not node.bring_up()
+        shown = node.healths[0].report()
+        node.destroy_node()
+    finally:
+        rclpy.shutdown(context=context)
+    return shown
+
+
 def test_a_node_names_the_sensor_that_cannot_be_used(
     ros_domain: int,
     tmp_path: Path,
@@ -191,22 +211,9 @@ def test_a_node_names_the_sensor_that_cannot_be_used(
     capfd: Any,
     install_package: Callable,
 ) -> None:
-    rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-    from rclpy.parameter import Parameter
-
-    from finger_driver.force_node import ForceNode
-
     install_package(tmp_path, {}, {"finger_driver.force": {"absent": "no_such_module_:Sensor"}})
     monkeypatch.syspath_prepend(tmp_path)
-    context = rclpy.Context()
-    rclpy.init(context=context, domain_id=ros_domain)
-    try:
-        overrides = [Parameter("device", value="absent")]
-        node = ForceNode(context=context, parameter_overrides=overrides)
-        assert not node.bring_up()
-        node.destroy_node()
-    finally:
-        rclpy.shutdown(context=context)
+    refused_by_a_node("absent", ros_domain)
     lines = [line for line in capfd.readouterr().err.splitlines() if "'absent'" in line]
     assert len(lines) == 2 and all("No module named" in line for line in lines), lines
     assert "configure failed" in lines[1]
@@ -229,25 +236,11 @@ def test_a_defect_of_a_driver_is_told_in_one_sentence_and_in_diagnostics(
     capfd: Any,
     install_package: Callable,
 ) -> None:
-    rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-    from rclpy.parameter import Parameter
-
-    from finger_driver.force_node import ForceNode
-
     install_package(
         tmp_path, {"defect": DEFECT}, {"finger_driver.force": {"defect": "defect:Defect"}}
     )
     monkeypatch.syspath_prepend(tmp_path)
-    context = rclpy.Context()
-    rclpy.init(context=context, domain_id=ros_domain)
-    try:
-        overrides = [Parameter("device", value="defect")]
-        node = ForceNode(context=context, parameter_overrides=overrides)
-        assert not node.bring_up()
-        shown = node.healths[0].report()
-        node.destroy_node()
-    finally:
-        rclpy.shutdown(context=context)
+    shown = refused_by_a_node("defect", ros_domain)
     said = capfd.readouterr().err
     sentence = "Defect.connect failed (ValueError: no such port); correct this driver"
     assert f"configure failed: {sentence}" in said and "Traceback" not in said
