@@ -23,6 +23,9 @@ DIFFERENCE = 2e-3
 """Step of the finite differences in logarithm: far above rounding, far below the curvature of the
 area."""
 
+DAMPINGS = (0.1, 1.0, 10.0)
+"""Factors on the damping that are tried at once."""
+
 WAY = np.linspace(0.0, 1.0, 9)[1:]
 """Parts of a way at which parameters are looked for that carry the load."""
 
@@ -131,21 +134,16 @@ def refine(
         scale = np.maximum(scale, 1e-6 * max(scale.max(), 1e-30))
         improved = False
         for _attempt in range(3):
-            trials = []
-            for factor in (0.1, 1.0, 10.0):
-                system = np.vstack([jacobian, np.diag(np.sqrt(damping * factor) * scale)])
-                move = lsq_linear(
-                    system,
-                    np.concatenate([-residual, np.zeros(dimension)]),
-                    bounds=_open(box - u[:, None]),
-                    method="bvls" if dimension > 1 else "trf",
-                ).x
-                trials.append(np.clip(u + move, box[:, 0], box[:, 1]))
-            candidates = np.array(trials)
+            limits = box - u[:, None]
+            moves = [
+                _damped_move(jacobian, residual, np.sqrt(damping * factor) * scale, limits)
+                for factor in DAMPINGS
+            ]
+            candidates = np.clip(u + np.array(moves), box[:, 0], box[:, 1])
             found = outputs(candidates)
             costs = goal.cost(found)
             pick = int(np.argmin(costs))
-            damping *= (0.1, 1.0, 10.0)[pick]
+            damping *= DAMPINGS[pick]
             if costs[pick] < cost:
                 improved = True
                 break
@@ -158,6 +156,18 @@ def refine(
         if gain < tolerance:
             break
     return LocalFit(coordinates.parameters(u[None])[0], cost, spent)
+
+
+def _damped_move(
+    jacobian: np.ndarray, residual: np.ndarray, damping: np.ndarray, limits: np.ndarray
+) -> np.ndarray:
+    """Step (D,) within limits (D, 2) that minimises the linearised problem and its damping (D,)."""
+    return lsq_linear(
+        np.vstack([jacobian, np.diag(damping)]),
+        np.concatenate([-residual, np.zeros(len(damping))]),
+        bounds=_open(limits),
+        method="bvls" if len(damping) > 1 else "trf",
+    ).x
 
 
 def _open(limits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
