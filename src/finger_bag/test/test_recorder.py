@@ -365,8 +365,11 @@ def test_a_terminal_that_is_closed_ends_a_recorder_with_its_bag_closed(
         words = " ".join(parameters).split()
         return process("-m", main, *member, "--ros-args", *words, **options)
 
-    ignoring = partial(signal.signal, signal.SIGHUP, signal.SIG_IGN)
-    children = [recorder("closed"), recorder("nohup", preexec_fn=ignoring)]
+    on_close = {"closed": signal.SIG_DFL, "nohup": signal.SIG_IGN}
+    children = [
+        recorder(name, preexec_fn=partial(signal.signal, signal.SIGHUP, action))
+        for name, action in on_close.items()
+    ]
     for child in children:
         while "recording into" not in child.output.read_text():
             assert child.poll() is None
