@@ -193,7 +193,11 @@ def test_a_camera_whose_areas_are_all_too_large(model: ReducedModel) -> None:
         assert least <= np.mean(np.array(off) < 1.96) <= most
 
 
-WRONG = pytest.mark.parametrize("wrong", [T0 + 3600 * 10**9, 5 * 10**9], ids=["hour ahead", "1970"])
+WRONG = pytest.mark.parametrize(
+    "wrong",
+    [T0 + 3600 * 10**9, T0 + 31_500 * MS, T0 + 4000 * MS, 5 * 10**9],
+    ids=["hour ahead", "half a minute ahead", "seconds ahead", "1970"],
+)
 
 
 @WRONG
@@ -264,6 +268,17 @@ def test_a_stamp_that_the_next_one_confirms_is_not_lost(model: ReducedModel) -> 
         *estimator.add_wrench(T0 + PERIOD * MS, (0.0, 0.0, 0.0)),
     )
     assert first.flags & StateFlag.TIME_RESET and not second.flags & StateFlag.TIME_RESET
+
+
+def test_samples_that_are_seconds_apart_are_all_used(model: ReducedModel) -> None:
+    """As the corners of a force history are; one at a time, and many at once."""
+    stamps = T0 + np.array([0, 3, 6, 10, 40, 90, 91]) * 10**9
+    force = np.column_stack([0.0 * stamps, 0.0 * stamps, -np.array([0, 0.5, 1, 1, 0.2, 0.4, 0])])
+    single, bulk = ContactEstimator(model), ContactEstimator(model)
+    alone = [e for s, f in zip(stamps, force) for e in single.add_wrench(int(s), f)]
+    assert [e.stamp_ns for e in alone] == list(stamps)
+    assert [repr(e) for e in alone] == [repr(e) for e in bulk.add_wrenches(stamps, force)]
+    assert not single.counters and alone[3].area > 0.0
 
 
 def test_wrong_stamps_in_bulk_give_the_same_bits(model: ReducedModel) -> None:

@@ -13,10 +13,10 @@ Rules of input, all by the stamps the samples carry (int, ns), never by when the
 - **Wrench samples** may be irregular. Between two samples the force runs linearly, however long the
   gap; after more than `gap_limit` the later sample is flagged. A sample stamped like the newest is
   a duplicate and is dropped; one older than that is out of order, is dropped and flags the next
-  estimate. One older by more than `time_reset_after`, or later by more than `FAR_AHEAD`, waits for
-  the next sample: when that goes on from it, both are processed, and after a step back the state
-  is reset before; when that goes on where the stream was, the stamp was wrong and the sample is
-  dropped as out of order. A force that is not finite gives an estimate flagged invalid
+  estimate. One older by more than `time_reset_after`, or later by more than `FUTURE`, waits for
+  the next sample: when that is later, by no more than `LONGEST_GAP`, both are processed, and after
+  a step back the state is reset before; otherwise the stamp was wrong, and the sample that waits
+  is dropped as out of order. A force that is not finite gives an estimate flagged invalid
   and leaves the state; the next valid sample bridges it.
 - **Areas and moisture readings** stamped t enter at the first wrench sample stamped t +
   `fusion_delay` or later. One that is handed over after such a sample is not used, is counted and
@@ -62,11 +62,12 @@ from .mismatch import Mismatch
 from .parameter_selection import SelectedParameters, check_sets, select_parameters
 from .settings import EstimatorSettings
 
-FAR_AHEAD = 60.0
-"""s from one sample to the next, beyond which the later one waits for a third."""
-
 FUTURE = 2.0
-"""s by which an area or reading may be ahead of the newest sample that a live node has."""
+"""s by which a sample may be ahead of the one before, and an area or reading of the newest sample
+that a live node has, before its stamp may be wrong."""
+
+LONGEST_GAP = 60.0
+"""s by which the sample after one that waits may be later than it."""
 
 
 _Selection = tuple[str, EstimatorSettings, float | None]
@@ -184,7 +185,7 @@ class ContactEstimator:
             self._apply_due(int(stamps[at]))
             # As far as stamps increase by little and no event or reading comes due.
             change = np.diff(stamps[at:])
-            steps = np.flatnonzero((change <= 0) | (change > FAR_AHEAD * NANOSECONDS))
+            steps = np.flatnonzero((change <= 0) | (change > FUTURE * NANOSECONDS))
             end = at + int(steps[0]) + 1 if len(steps) else len(stamps)
             due = self._next_due()
             if due is not None:
@@ -393,14 +394,14 @@ class ContactEstimator:
         waiting, self._waiting = self._waiting, None
         if waiting is not None:
             ahead = stamp_ns - waiting[0]
-            if 0 < ahead <= FAR_AHEAD * NANOSECONDS:
+            if 0 < ahead <= LONGEST_GAP * NANOSECONDS:
                 if waiting[0] < newest:
                     self.counters["resets"] += 1
                     self._jump_back(waiting[0])
                 return [waiting, (stamp_ns, force)]
             self._drop()
         ahead = stamp_ns - newest
-        if 0 < ahead <= FAR_AHEAD * NANOSECONDS:
+        if 0 < ahead <= FUTURE * NANOSECONDS:
             return [(stamp_ns, force)]
         if ahead == 0:
             self.counters["duplicates"] += 1
