@@ -169,6 +169,24 @@ def find_wrench(reader: BagReader, settings: ReadSettings) -> str:
     return wrench
 
 
+def apart(reader: BagReader, settings: ReadSettings, names: Sequence[str]) -> str:
+    """A warning where those of these streams that were found by their names alone lie in several
+    namespaces, as in a bag of a hand in which one finger has no areas and another one no force; ""
+    otherwise."""
+    if settings.namespace:
+        return ""
+    known = {"wrench"} if settings.wrench_topic != "wrench" else set()
+    known |= {name for name in names if settings.mapping.topic(name).topic}
+    found = [find_used(reader, name, settings) for name in names if name not in known]
+    topics = sorted(topic for topic in found if topic is not None)
+    if len({topic.removesuffix("/compressed").rpartition("/")[0] for topic in topics}) < 2:
+        return ""
+    return (
+        f"{listed(topics)} are taken together, though their namespaces differ: if they are not of "
+        "one finger, choose with --namespace, or name the topics in a mapping file"
+    )
+
+
 class Malformed:
     """Messages that were left out, by topic, with the reason of the first."""
 

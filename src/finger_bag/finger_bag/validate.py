@@ -28,7 +28,7 @@ from finger_common.usable_press import LONGEST_GAP
 from .read_settings import ReadSettings
 from .reader import BagReader, open_bag
 from .schema import CALIBRATION_ATTACHMENT, TOPICS
-from .streams import SessionStreams, find_topic, find_used, read_streams
+from .streams import IMAGES, SessionStreams, apart, find_topic, find_used, read_streams
 
 OK, NOTE, FAIL = "ok", "note", "fail"
 
@@ -223,6 +223,8 @@ def _check_topics(reader: BagReader, settings: ReadSettings, result: Validation)
         result.add("topics", NOTE, f"without: {', '.join(notes)}")
     else:
         result.add("topics", OK, f"{len(reader.info.topics)} topics")
+    if warning := apart(reader, settings, ("wrench", *(["contact_area"] if areas else IMAGES))):
+        result.add("namespaces", NOTE, warning)
     if wrong:
         result.add("types", FAIL, "; ".join(wrong))
     else:

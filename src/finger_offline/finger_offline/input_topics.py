@@ -9,8 +9,14 @@ from dataclasses import dataclass
 
 from finger_bag.mapping import MappedTopic
 from finger_bag.reader import BagReader
-from finger_bag.streams import IMAGES, find_topic, find_used, find_wrench, missing
-from finger_common.errors import listed
+from finger_bag.streams import (
+    IMAGES,
+    apart,
+    find_topic,
+    find_used,
+    find_wrench,
+    missing,
+)
 
 from .process_options import ProcessOptions
 
@@ -49,6 +55,7 @@ class InputTopics:
         )
         if from_images and not images:
             raise missing(reader, "image_raw")
+        measured = IMAGES if from_images else ("contact_area",)
         recorded = find_topic(reader, "model_events", options)
         follow = find_used(reader, "model_events", options) is not None
         same = follow and not options.is_own()
@@ -76,7 +83,7 @@ class InputTopics:
             events=recorded if follow else None,
             namespace=namespace,
             replaced=frozenset(replaced),
-            apart=_apart(options, wrench, None if from_images else area, recorded),
+            apart=apart(reader, options, ("wrench", *measured, "model_events")),
         )
 
     def used(self) -> list[str]:
@@ -87,24 +94,3 @@ class InputTopics:
     def result(self, name: str) -> str:
         """Absolute topic of a result, such as "contact_state"."""
         return f"{self.namespace}/{name}"
-
-
-def _apart(options: ProcessOptions, wrench: str, area: str | None, events: str | None) -> str:
-    """A warning where topics that were found by their names alone lie in several namespaces, as in
-    a bag of a hand in which one finger has no areas and another one no force."""
-    if options.namespace:
-        return ""
-    mapping = options.mapping
-    found = {
-        "contact_area": None if mapping.topic("contact_area").topic else area,
-        "model_events": None if mapping.topic("model_events").topic else events,
-    }
-    if options.wrench_topic == "wrench" and not mapping.topic("wrench").topic:
-        found["wrench"] = wrench
-    topics = sorted(topic for topic in found.values() if topic is not None)
-    if len({topic.rpartition("/")[0] for topic in topics}) < 2:
-        return ""
-    return (
-        f"{listed(topics)} are taken together, though their namespaces differ: if they are not of "
-        "one finger, choose with --namespace, or name the topics in a mapping file"
-    )

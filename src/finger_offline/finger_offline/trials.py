@@ -14,6 +14,7 @@ from finger_bag.reader import BagReader, open_bag
 from finger_bag.streams import (
     IMAGES,
     SessionStreams,
+    apart,
     find_topic,
     find_used,
     find_wrench,
@@ -107,6 +108,9 @@ def streams_with_areas(reader: BagReader, settings: TrialSettings) -> SessionStr
         on_image=measure.add if measure else None,
         with_images=from_images,
     )
+    measured = IMAGES if from_images else ("contact_area",)
+    if warning := apart(reader, settings, ("wrench", *measured)):
+        streams.problems.insert(0, warning)
     if measure is not None:
         streams.areas, streams.area_source = measure.table(), "images"
         streams.problems += measure.problems()

@@ -23,6 +23,7 @@ from finger_bag.mapping import TopicMapping
 from finger_bag.read_settings import ReadSettings
 from finger_bag.reader import open_bag
 from finger_bag.streams import read_streams
+from finger_bag.validate import NOTE, validate
 from finger_bag.writer import BagWriter
 from finger_common.cli import EXIT_BAD_INPUT, run
 from finger_common.errors import InputError
@@ -45,6 +46,7 @@ from finger_model.parameter_sets import ParameterSets
 from finger_offline.contact_states import serialize
 from finger_offline.process import process
 from finger_offline.process_options import ProcessOptions
+from finger_offline.trials import load_trials
 
 STATE = "finger_msgs/msg/ContactState"
 
@@ -560,6 +562,10 @@ def test_areas_of_another_finger_than_the_force_are_told(
     told = [p for p in result.problems if "/hand/index/contact_area, /hand/thumb/wrench" in p]
     assert bool(told) == (result.areas > 0) == (not given)
     assert all("--namespace" in problem for problem in told)
+    if not given:
+        assert any(told[0] in problem for problem in load_trials(hand).problems)
+        notes = [c.detail for c in validate(hand).checks if c.status == NOTE]
+        assert told[0] in notes
 
 
 @pytest.mark.parametrize("events", [None, 2.0])
