@@ -188,8 +188,8 @@ class Press:
         """One contact area in m². stick_ratio: NaN if the camera does not tell."""
         self._frames.append((stamp_ns, area, flags))
 
-    def overdue(self, now_ns: int, in_step: float) -> str:
-        """Which limit of time has passed; empty when none.
+    def see_time(self, now_ns: int, in_step: float) -> str:
+        """Tell the press the time; which of its limits has passed, empty when none.
 
         now_ns: by the protocol's clock, from call to call. in_step: s since the last cue.
         """

@@ -539,7 +539,7 @@ class Protocol:
         assert self._press is not None
         if self._inputs.force_fell_silent(self._now, self.limits):
             self._fail(self._press.with_problems("the force sensor fell silent"))
-        elif reason := self._press.overdue(self._now, in_step):
+        elif reason := self._press.see_time(self._now, in_step):
             self._fail(self._press.with_problems(reason))
 
     def _await_recorder(self, in_step: float) -> None:

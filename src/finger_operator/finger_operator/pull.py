@@ -111,10 +111,10 @@ class Pull(Press):
         if not slides and stick_ratio > STICKS:
             self._sticks_at = stamp_ns
 
-    def overdue(self, now_ns: int, in_step: float) -> str:
+    def see_time(self, now_ns: int, in_step: float) -> str:
         attempt, limits = self.attempt, self.limits
         if attempt.pull_ns is None or attempt.cue_ns is not None:
-            return super().overdue(now_ns, in_step)
+            return super().see_time(now_ns, in_step)
         if in_step > limits.pull_timeout:
             return f"not slipped within {limits.pull_timeout:g} s: {self._reached_ratio}"
         return ""

@@ -210,7 +210,7 @@ class ContactEstimator:
         stamp_ns = whole_stamp(stamp_ns)
         if self._inputs.knows_late("area", stamp_ns):
             return False
-        if self._inputs.is_duplicate(stamp_ns):
+        if self._inputs.count_duplicate(stamp_ns):
             return True
         if self._is_late(stamp_ns, live):
             self._count_late(areas=1)
@@ -433,7 +433,7 @@ class ContactEstimator:
         """Apply the events and readings that take effect before a sample of this stamp."""
         while self._events and self._events[0].stamp_ns <= stamp_ns:
             self._apply_now(self._events.pop(0))
-        while (reading := self._inputs.due_moisture(stamp_ns)) is not None:
+        while (reading := self._inputs.take_due_moisture(stamp_ns)) is not None:
             self._moisture = reading
             self._select_parameters()
 

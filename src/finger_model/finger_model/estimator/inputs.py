@@ -71,8 +71,8 @@ class InputQueue:
         # A pause is told at its end, when some of its areas wait already.
         self._areas = [area for area in self._areas if not self.knows_late("area", area[0])]
 
-    def is_duplicate(self, stamp_ns: int) -> bool:
-        """Whether an area of this stamp came before; counts it."""
+    def count_duplicate(self, stamp_ns: int) -> bool:
+        """Count an area of a stamp that came before; whether this is one."""
         if stamp_ns not in self._area_stamps:
             return False
         self.counters["duplicate_areas"] += 1
@@ -107,7 +107,7 @@ class InputQueue:
         number = bisect.bisect_right(self._areas, stamp_ns - self.delay, key=_stamp)
         if not number:
             return _NO_AREAS
-        due = [area for area in self._areas[:number] if not self._is_repeated(area)]
+        due = [area for area in self._areas[:number] if not self._count_repeated(area)]
         del self._areas[:number]
         if not self.fuse:
             return _NO_AREAS
@@ -119,8 +119,9 @@ class InputQueue:
                 found["area"][row] = stream.NO_CONTACT if empty else math.nan
         return found
 
-    def _is_repeated(self, area: tuple[int, float, float, int]) -> bool:
-        """Whether this is the last area once more; counts it. Called in the order of stamps."""
+    def _count_repeated(self, area: tuple[int, float, float, int]) -> bool:
+        """Count an area that is the last one once more; whether this is one. Called for each, in
+        the order of stamps."""
         stamp, seen, last = area[0], self._last_seen, self._last_area
         self._last_seen = stamp
         equal = last is not None and area[1:] == last[1:] and stamp - last[0] < LONGEST_HOLD
@@ -130,7 +131,7 @@ class InputQueue:
         self._last_area = area
         return False
 
-    def due_moisture(self, stamp_ns: int) -> tuple[int, float] | None:
+    def take_due_moisture(self, stamp_ns: int) -> tuple[int, float] | None:
         """Remove and return the next reading that is due at this stamp, None without one."""
         if self._moistures and self._moistures[0][0] + self.delay <= stamp_ns:
             return self._moistures.pop(0)
