@@ -88,14 +88,33 @@ def fit_records(
     memory = options.memory(fingers.space, material_of(fingers.any.model))
     trials, excluded = prepare_all(screened.records, options, memory)
     exclusions = [*screened.exclusions, *excluded]
-    notes = [*screened.notes, *_on_memory(trials, memory)]
     if not trials:
         raise nothing_to_fit(exclusions)
+    fingers, on_models = _serving(fingers, trials, options)
+    notes = [*screened.notes, *_on_memory(trials, memory), *on_models]
+    subjects: dict[str, list[FitTrial]] = {}
+    for trial in trials:
+        subjects.setdefault(trial.subject, []).append(trial)
+    _check_codes(subjects)
+    with engine_for(options.dask) as engine:
+        work = _Work(fingers, options, conditions, engine, folder, report)
+        if len(subjects) == 1 or options.pool:
+            return _fit_as_one(work, trials, exclusions, notes)
+        own = {subject or UNNAMED: found for subject, found in sorted(subjects.items())}
+        return _fit_each(work, own, exclusions, notes)
+
+
+def _serving(
+    fingers: Fingers, trials: Sequence[FitTrial], options: FitOptions
+) -> tuple[Fingers, list[str]]:
+    """The fingers with models that reach the largest force of the trials, and what to say of these
+    models."""
     highest = max(trial.drive.highest for trial in trials)
     corners = np.array(list(itertools.product(*options.box(fingers.space))))
-    given, fingers = fingers, fingers.serving(highest, corners)
-    models = [finger.model for finger in fingers.by_subject.values()]
-    if any(m is not f.model for m, f in zip(models, given.by_subject.values())):
+    served = fingers.serving(highest, corners)
+    models = [finger.model for finger in served.by_subject.values()]
+    notes = []
+    if any(m is not f.model for m, f in zip(models, fingers.by_subject.values())):
         notes.append(
             f"the force goes up to {highest:.2f} N, beyond the reduced model of the default "
             "finger: fitted with that of the population box"
@@ -107,54 +126,7 @@ def fit_records(
             "full-order model, for correction, check, the finger's lengths and the deformed "
             "finger, and no parameters.yaml"
         )
-    subjects: dict[str, list[FitTrial]] = {}
-    for trial in trials:
-        subjects.setdefault(trial.subject, []).append(trial)
-    _check_codes(subjects)
-    with engine_for(options.dask) as engine:
-        work = _Work(fingers, options, conditions, engine, folder, report)
-        if len(subjects) == 1 or options.pool:
-            if len(subjects) > 1:
-                notes.append(f"{len(subjects)} subjects are pooled: {', '.join(subjects)}")
-            elif not may_be_one(*(named := {t.finger for t in trials})):
-                notes.append(f"fingers are pooled: {', '.join(sorted(filter(None, named)))}")
-            try:
-                part = work.fit_subject(trials)
-            except InputError as error:
-                raise NothingFitted(f"{error}{_left_out(exclusions)}") from None
-            return dataclasses.replace(
-                part, exclusions=exclusions, problems=[*notes, *part.problems]
-            )
-        own = {subject or UNNAMED: found for subject, found in sorted(subjects.items())}
-        outcomes = work.on_cluster(own) if options.dask else work.one_by_one(own)
-        parts: dict[str, FitResult] = {}
-        missing: list[str] = []
-        tried = 0
-        for name, found in outcomes:
-            tried += 1
-            if isinstance(found, FingerError):
-                notes.append(f"subject {name}: {found}")
-                missing += [] if isinstance(found, OF_THE_DATA) else [name]
-                continue
-            parts[name] = found
-            missing += [f"{name} {condition}" for condition in found.missing]
-            _exclude(found, exclusions, name)
-            notes += [f"subject {name}: {note}" for note in found.problems]
-        if tried < len(own):
-            notes.append(f"interrupted: not fitted: subjects {', '.join(list(own)[tried:])}")
-    if not parts:
-        why = f"({'; '.join(notes)}){_left_out(exclusions)}"
-        raise NothingFitted(f"no subject can be fitted {why}")
-    return FitResult(
-        options,
-        {f"{name} {c}": fit for name, part in parts.items() for c, fit in part.fits.items()},
-        exclusions,
-        notes,
-        subjects=parts,
-        contrasts=[found for part in parts.values() for found in part.contrasts],
-        stopped=tried < len(own) or any(part.stopped for part in parts.values()),
-        missing=missing,
-    )
+    return served, notes
 
 
 def _on_memory(trials: Sequence[FitTrial], memory: float) -> list[str]:
@@ -319,12 +291,17 @@ class _Work:
             kind = InputError if lost else DataError
             raise kind(f"no condition can be fitted ({'; '.join(notes)})")
         result = FitResult(self.options, fits, [], notes, stopped=stopped, missing=left)
+        self._complete(result, trials)
+        return result
+
+    def _complete(self, result: FitResult, trials: Sequence[FitTrial]) -> None:
+        """Add the contrasts and the additional fits, and what to say of the files."""
         if not result.unfinished and material_of(result.model) is not None:
-            result.problems += _on_parameter_files(fits)
+            result.problems += _on_parameter_files(result.fits)
         if not result.stopped:
             try:
                 with interruptible():
-                    result.contrasts = contrasts(fits, codes_of(trials))
+                    result.contrasts = contrasts(result.fits, codes_of(trials))
                     _further(result, self.engine)
             except INTERRUPTIONS:
                 result.stopped = True
@@ -338,7 +315,61 @@ class _Work:
                     "parameters.yaml and subjects/ are left as they were"
                 )
             result.problems.append(note)
-        return result
+
+
+def _fit_as_one(
+    work: _Work, trials: Sequence[FitTrial], exclusions: list[Exclusion], notes: list[str]
+) -> FitResult:
+    """Fit all trials as those of one subject, `notes` before its own; raises NothingFitted."""
+    subjects = dict.fromkeys(trial.subject for trial in trials)
+    if len(subjects) > 1:
+        notes = [*notes, f"{len(subjects)} subjects are pooled: {', '.join(subjects)}"]
+    elif not may_be_one(*(named := {t.finger for t in trials})):
+        notes = [*notes, f"fingers are pooled: {', '.join(sorted(filter(None, named)))}"]
+    try:
+        part = work.fit_subject(trials)
+    except InputError as error:
+        raise NothingFitted(f"{error}{_left_out(exclusions)}") from None
+    return dataclasses.replace(part, exclusions=exclusions, problems=[*notes, *part.problems])
+
+
+def _fit_each(
+    work: _Work,
+    subjects: Mapping[str, Sequence[FitTrial]],
+    exclusions: list[Exclusion],
+    notes: list[str],
+) -> FitResult:
+    """Fit the trials of each subject by itself; `notes` gets what is to be said of one. Raises
+    NothingFitted when no subject can be fitted."""
+    parts: dict[str, FitResult] = {}
+    missing: list[str] = []
+    tried = 0
+    outcomes = work.on_cluster(subjects) if work.options.dask else work.one_by_one(subjects)
+    for name, found in outcomes:
+        tried += 1
+        if isinstance(found, FingerError):
+            notes.append(f"subject {name}: {found}")
+            missing += [] if isinstance(found, OF_THE_DATA) else [name]
+            continue
+        parts[name] = found
+        missing += [f"{name} {condition}" for condition in found.missing]
+        _exclude(found, exclusions, name)
+        notes += [f"subject {name}: {note}" for note in found.problems]
+    if tried < len(subjects):
+        notes.append(f"interrupted: not fitted: subjects {', '.join(list(subjects)[tried:])}")
+    if not parts:
+        why = f"({'; '.join(notes)}){_left_out(exclusions)}"
+        raise NothingFitted(f"no subject can be fitted {why}")
+    return FitResult(
+        work.options,
+        {f"{name} {c}": fit for name, part in parts.items() for c, fit in part.fits.items()},
+        exclusions,
+        notes,
+        subjects=parts,
+        contrasts=[found for part in parts.values() for found in part.contrasts],
+        stopped=tried < len(subjects) or any(part.stopped for part in parts.values()),
+        missing=missing,
+    )
 
 
 def _on_parameter_files(fits: Mapping[str, ConditionFit]) -> list[str]:
