@@ -390,13 +390,13 @@ def test_a_busy_machine_does_not_cut_training_runs_short(monkeypatch: pytest.Mon
 
 def test_a_small_build_resumes(tmp_path: Path) -> None:
     settings = PopulationSettings(
-        histories=60,
-        soft_histories=6,
-        further_histories=4,
-        corrections=8,
-        refining=4,
+        histories=50,
+        soft_histories=2,
+        further_histories=2,
+        corrections=5,
+        refining=2,
         held_out=4,
-        pilots=6,
+        pilots=5,
         epochs=1,
         seed=3,
     )
