@@ -23,6 +23,8 @@ from node_parameters import check_numbers, from_parameters
 from finger_common.flags import SlipFlag
 
 GRAVITY = 9.81
+SAFE = 0.15
+"""Share of the normal force that any skin carries sideways."""
 
 
 @dataclass
@@ -32,12 +34,16 @@ class SlipGrip:
     margin: slip margin to hold; alarm: slip probability at which it grips harder at once, `reflex`
     times as hard, and again after `patience` (s) if that was not enough; smallest, largest: force
     (N); rise, fall: of the force (N/s); cautious: standard deviations by which friction is taken
-    lower than estimated.
+    lower than estimated. keep: share of the force for the largest load that stays when the load
+    falls, as of an object that is set down and will be lifted again; it fades with the time
+    constant `memory` (s).
 
     As long as no slip was seen the friction is a guess. The force then falls slowly until a slip
     begins, which tells it, and steps up and down by the share `dither`, `dither_rate` times a
-    second. A gripper with a dead time of more than 30 ms answers that slip too late: it takes
-    dither 0 and unsure 1, the deviations by which a guess is taken lower.
+    second. Load over force grows beyond what was held before by no more than `explore` (1/s), so
+    that this slip is slow even where the load grows fast. A gripper with a dead time of more than
+    50 ms answers that slip too late: it takes dither 0 and unsure 1, the deviations by which a
+    guess is taken lower.
 
     `force` is the force to grip with (N); it begins with the first one measured (NaN), for an
     object that is held already. Raises ValueError for settings that cannot be.
@@ -53,6 +59,9 @@ class SlipGrip:
     unsure: float = 0.0
     reflex: float = 1.6
     patience: float = 0.15
+    keep: float = 0.6
+    memory: float = 20.0
+    explore: float = 0.4
     dither: float = 0.1
     dither_rate: float = 12.0
     largest_step: float = 0.02
@@ -60,6 +69,8 @@ class SlipGrip:
     _stamp: float = field(default=-math.inf, init=False)
     _alarmed: float = field(default=-math.inf, init=False)
     _reflex: float = field(default=0.0, init=False)
+    _kept: float = field(default=0.0, init=False)
+    _tried: float = field(default=SAFE, init=False)
 
     def __post_init__(self) -> None:
         check_numbers(self, free=("force", "margin"))
@@ -99,6 +110,13 @@ class SlipGrip:
         cautious = self.unsure if guess else self.cautious
         friction = max(friction - cautious * friction_sd, 0.05)
         wanted = load / ((1.0 - self.margin) * friction)
+        if guess:
+            if load > 0.9 * self._tried * normal:
+                self._tried *= 1.0 + self.explore * elapsed
+            wanted = max(wanted, load / self._tried)
+        self._kept *= math.exp(-elapsed / self.memory)
+        self._kept = max(self._kept, self.keep * min(wanted, self.largest))
+        wanted = max(wanted, self._kept)
         if flags & SlipFlag.SLIPPING or probability > (0.4 if guess else self.alarm):
             if stamp - self._alarmed > self.patience:
                 self._alarmed, self._reflex = stamp, self.reflex * normal
@@ -132,6 +150,7 @@ def hold(
     grip_follows_load: bool = False,
     delay: float = 0.0,
     sensor: Callable[[float, list[float]], list[float]] | None = None,
+    lifted: Callable[[float], float] = lambda time: 1.0,
 ) -> Outcome:
     """Two fingers take an object of 50 g, which is filled to 350 g between 2 and 8 s.
 
@@ -139,8 +158,9 @@ def hold(
     on the object, which the controller does not know. zero: what the sensor gives along the load in
     the air (N). grip_follows_load: the estimator's setting. The gripper is open for 0.7 s and
     closes 0.3 s before the controller begins. It follows its command within 30 ms, after a dead
-    time of delay (s). The force has 5 mN of noise; sensor: what it gives of a force
-    (3,) in N at a time (s). A slide of 20 mm is a drop.
+    time of delay (s). The force has 5 mN of noise; sensor: what it gives of a force (3,) in N at a
+    time (s). lifted: share of the weight that the fingers carry at a time (s): 0 where a table
+    does, above 1 where the object is accelerated upwards. A slide of 20 mm is a drop.
     """
     from finger_model.estimator import ContactEstimator
     from finger_model.finger import load_reduced
@@ -160,11 +180,11 @@ def hold(
         mass = float(np.interp(time, [0.5, 1.0, 2.0, 8.0], [1e-3, 0.05, 0.05, 0.35]))
         commands.append(command if time > -0.3 else 0.0)
         force += (commands.popleft() - force) * step / 0.03
-        load = mass * GRAVITY / 2.0 if time > 0.0 else 0.0
+        load = mass * GRAVITY / 2.0 * lifted(time) if time > 0.0 else 0.0
         most = friction * force
         sliding = load > most or speed > 0.0
         carried = most if sliding else load
-        speed = max(0.0, speed + (mass * GRAVITY - 2.0 * carried) / mass * step) if sliding else 0.0
+        speed = max(0.0, speed + 2.0 * (load - carried) / mass * step) if sliding else 0.0
         slid += speed * step
         if slid > 0.02:
             return Outcome(True, slid, math.nan)

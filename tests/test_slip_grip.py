@@ -24,8 +24,8 @@ def test_an_object_that_gets_heavier_is_held_whatever_its_friction(example: Any)
             assert example.hold(None, friction, seed).dropped
         found[friction] = example.hold(example.SlipGrip(force=2.0), friction, seed)
     assert not any(outcome.dropped for outcome in found.values()), found
-    assert max(outcome.slid for outcome in found.values()) < 0.01
-    assert np.median([outcome.slid for outcome in found.values()]) < 0.004
+    assert max(outcome.slid for outcome in found.values()) < 0.005
+    assert np.median([outcome.slid for outcome in found.values()]) < 0.002
     assert np.median([outcome.force_ratio for outcome in found.values()]) < 1.8
     assert all(outcome.force_ratio > 1.0 for outcome in found.values())
 
@@ -42,9 +42,9 @@ def test_an_object_is_held_by_an_estimator_that_knows_of_the_controller(
 
 @pytest.mark.parametrize("friction", [0.25, 0.35, 0.5])
 def test_a_gripper_with_a_dead_time_holds(example: Any, friction: float) -> None:
-    found = example.hold(example.SlipGrip(force=2.0), friction, delay=0.02)
+    found = example.hold(example.SlipGrip(force=2.0), friction, delay=0.05)
     assert not found.dropped
-    assert found.slid < 0.012
+    assert found.slid < 0.008
     late = example.SlipGrip(force=2.0, dither=0.0, unsure=1.0)
     found = example.hold(late, friction, delay=0.1)
     assert not found.dropped
@@ -83,6 +83,38 @@ def test_wrong_samples_that_come_again_every_half_second_drop_nothing(
     assert not found.dropped
     assert found.slid < 0.01
     assert 1.05 < found.force_ratio < 2.5
+
+
+@pytest.mark.parametrize("friction", [0.3, 0.5])
+@pytest.mark.parametrize(("table", "lift"), [(1.5, 0.1), (3.0, 0.2)])
+def test_an_object_that_is_set_down_can_be_lifted_again(
+    example: Any, friction: float, table: float, lift: float
+) -> None:
+    """For so many seconds it stands on a table; lifting it takes tenths of a second."""
+    at = [5.0, 5.0 + lift, 5.0 + table, 5.0 + table + lift]
+
+    def lifted(time: float) -> float:
+        return float(np.interp(time, at, [1.0, 0.0, 0.0, 1.0]))
+
+    found = example.hold(example.SlipGrip(force=2.0), friction, lifted=lifted)
+    assert not found.dropped
+    assert found.slid < 0.008
+    assert 1.05 < found.force_ratio < 1.9
+
+
+def test_a_load_that_swings_slides_little(example: Any) -> None:
+    """By 30 %, as in the hand of a robot that walks; the friction is not known at first."""
+    slid = []
+    for friction in (0.25, 0.35, 0.5):
+        for rate in (2.0, 4.0, 8.0):
+            found = example.hold(
+                example.SlipGrip(force=2.0),
+                friction,
+                lifted=lambda time, rate=rate: 1.0 + 0.3 * np.sin(2 * np.pi * rate * time),
+            )
+            assert not found.dropped, (friction, rate)
+            slid.append(found.slid)
+    assert np.mean(slid) < 0.004, slid
 
 
 @pytest.mark.parametrize("margin", [1.0, -0.1, 20.0, float("nan")])
