@@ -6,7 +6,8 @@
 
 The node answers every `contact_slip` with the force to grip with, on `grip_force`
 (std_msgs/Float64, N). Each setting of `SlipGrip`, the controller itself, is a parameter of the
-node. The controller uses no ROS and needs no camera.
+node. While no `contact_slip` comes, it repeats its force. The controller uses no ROS and needs no
+camera.
 """
 
 from __future__ import annotations
@@ -25,6 +26,9 @@ from finger_common.flags import SlipFlag
 GRAVITY = 9.81
 SAFE = 0.15
 """Share of the normal force that any skin carries sideways."""
+
+STALE_AFTER = 0.05
+"""s without a contact_slip after which the node repeats its force."""
 
 
 @dataclass
@@ -239,8 +243,29 @@ def run_node(arguments: list[str]) -> None:
     node = rclpy.create_node("slip_grip")
     controller = from_parameters(node, SlipGrip)
     publisher = node.create_publisher(Float64, "grip_force", 1)
+    # A steady clock: what is stale must not depend on a clock that may stop or be set.
+    steady = rclpy.clock.Clock(clock_type=rclpy.clock.ClockType.STEADY_TIME)
+    received, stale = steady.now(), False
+
+    def watch() -> None:
+        """Hold the force while nothing comes: a gripper that hears nothing may let go."""
+        nonlocal stale
+        if (steady.now() - received).nanoseconds * 1e-9 <= STALE_AFTER:
+            return
+        force = controller.force
+        if not stale:
+            stale = True
+            what = "no grip" if math.isnan(force) else f"holding {force:.2f} N"
+            node.get_logger().info(f"{what}: no contact_slip comes")
+        if not math.isnan(force):
+            publisher.publish(Float64(data=force))
 
     def on_slip(state: ContactSlip) -> None:
+        nonlocal received, stale
+        received = steady.now()
+        if stale:
+            stale = False
+            node.get_logger().info("contact_slip comes")
         force = controller.on_slip(
             seconds(header_stamp(state)),
             state.normal_force,
@@ -255,6 +280,7 @@ def run_node(arguments: list[str]) -> None:
 
     qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
     node.create_subscription(ContactSlip, "contact_slip", on_slip, qos)
+    node.create_timer(0.01, watch, clock=steady)
     try:
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):

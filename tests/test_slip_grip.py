@@ -4,10 +4,12 @@ and it grips little harder than it must."""
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from waiting import wait_until
 
 from finger_common.flags import SlipFlag
 
@@ -115,6 +117,48 @@ def test_a_load_that_swings_slides_little(example: Any) -> None:
             assert not found.dropped, (friction, rate)
             slid.append(found.slid)
     assert np.mean(slid) < 0.004, slid
+
+
+def test_the_node_holds_its_force_while_no_state_comes(
+    ros_domain: int, process: Callable[..., Any], project_root: Path
+) -> None:
+    rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+    from std_msgs.msg import Float64
+
+    from finger_common.stamps import fill_time
+    from finger_msgs.msg import ContactSlip
+
+    rclpy.init()
+    node = rclpy.create_node("peer")
+    commands: list[float] = []
+    node.create_subscription(Float64, "/finger/grip_force", lambda m: commands.append(m.data), 10)
+    publisher = node.create_publisher(ContactSlip, "/finger/contact_slip", 10)
+    state = ContactSlip(normal_force=2.0, slip_margin=0.2, friction=0.5, friction_stddev=0.01)
+    sent = 0
+
+    def send() -> None:
+        nonlocal sent
+        sent += 1
+        fill_time(state.header.stamp, 10**18 + sent * 2_000_000)
+        publisher.publish(state)
+        rclpy.spin_once(node, timeout_sec=0.01)
+
+    def receive() -> None:
+        rclpy.spin_once(node, timeout_sec=0.01)
+
+    try:
+        example = project_root / "examples" / "slip_grip.py"
+        child = process(example, "--node", "--ros-args", "-r", "__ns:=/finger")
+        wait_until(lambda: len(commands) > 10, "an answer", spin=send)
+        said = "holding 2.0"
+        wait_until(lambda: said in child.output.read_text(), said, spin=receive)
+        held = len(commands)
+        wait_until(lambda: len(commands) > held + 20, "the force again and again", spin=receive)
+        assert len(set(commands[held:])) == 1 and commands[-1] == pytest.approx(2.0, abs=0.1)
+        wait_until(lambda: "contact_slip comes" in child.output.read_text(), "its end", spin=send)
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
 
 
 @pytest.mark.parametrize("margin", [1.0, -0.1, 20.0, float("nan")])
