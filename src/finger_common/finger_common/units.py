@@ -21,6 +21,9 @@ FORCE_UNITS = {
 }
 """Newtons per unit of force."""
 
+LARGEST_FORCE = 100.0
+"""N; a finger cannot press harder without injury, another unit can."""
+
 TORQUE_UNITS = {
     "N-m": 1.0,
     "N-mm": 1e-3,

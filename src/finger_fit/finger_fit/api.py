@@ -28,10 +28,10 @@ from finger_common.condition_name import check_condition_name
 from finger_common.errors import InputError, listed
 from finger_common.flags import AreaFlag
 from finger_common.stamps import NANOSECONDS
+from finger_common.units import LARGEST_FORCE
 from finger_offline.force_history import force_before
 from finger_offline.held_areas import held_rows, held_text
 from finger_offline.trial_checks import (
-    LARGEST_FORCE,
     PLAUSIBLE_AREA,
     fault_of,
     length_fault,

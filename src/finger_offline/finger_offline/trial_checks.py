@@ -17,6 +17,7 @@ from finger_common.errors import listed
 from finger_common.flags import AreaFlag
 from finger_common.moisture import MOISTURE_TEXT, is_moisture
 from finger_common.stamps import nanoseconds, seconds
+from finger_common.units import LARGEST_FORCE
 
 from .held_areas import held_rows
 from .indentation_checks import IndentationFault, indentation_fault
@@ -51,9 +52,6 @@ SHORTEST_PRESS, LONGEST_PRESS = 0.02, 1200.0
 LONG_PRESS, SLOW_FORCE, SLOW_FRAMES = 300.0, 0.5, 5.0
 """s; so have presses that are all longer than the first, with samples of the force further apart
 than the second, or frames further apart than the third."""
-
-LARGEST_FORCE = 100.0
-"""N; a finger cannot press harder without injury, another unit can."""
 
 NOTED_TARE = 0.03
 """N of force without contact that is noted: as much ends a contact."""

@@ -15,7 +15,8 @@ from finger_common.errors import listed
 from finger_common.files import sha256_of
 from finger_common.moisture import MOISTURE_TEXT, is_moisture
 from finger_common.stamps import NANOSECONDS
-from finger_offline.trial_checks import LARGEST_FORCE, PLAUSIBLE_AREA, fault_of
+from finger_common.units import LARGEST_FORCE
+from finger_offline.trial_checks import PLAUSIBLE_AREA, fault_of
 
 from ..problem import Exclusion
 from ..problem.trials import label_of

@@ -13,8 +13,9 @@ import numpy as np
 from finger_common.axes import axis_of
 from finger_common.errors import InputError, listed
 from finger_common.stamps import seconds
+from finger_common.units import LARGEST_FORCE
 
-from ..trial_checks import LARGEST_FORCE, length_fault
+from ..trial_checks import length_fault
 from ..trial_split import TrialSettings
 from ..unloaded import (
     LARGEST_TARE,
