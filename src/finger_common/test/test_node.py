@@ -586,6 +586,68 @@ def test_publishers_of_a_remapped_topic_are_counted(ros_domain: int) -> None:
         rclpy.shutdown(context=context)
 
 
+def test_a_simulated_time_that_does_not_begin_is_told_until_it_does(
+    ros_domain: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from rclpy.executors import SingleThreadedExecutor
+    from rosgraph_msgs.msg import Clock
+
+    from finger_common.diagnostics import Health
+    from finger_common.node import ManagedNode, stream_watch
+
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=ros_domain)
+    simulated = ["--ros-args", "-p", "use_sim_time:=true"]
+    node = ManagedNode(context=context, cli_args=simulated)
+    player = rclpy.create_node("player", context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    node.healths = [Health("node")]
+
+    def told() -> str:
+        node.publish_diagnostics()
+        return node.healths[0].report().message
+
+    try:
+        assert "/clock" not in told(), "what publishes it may be starting"
+        monkeypatch.setattr(stream_watch, "PATIENCE", 0.0)
+        assert "use_sim_time is true, and no time comes on /clock" in told()
+        clock = player.create_publisher(Clock, "/clock", 10)
+        second = Clock()
+        second.clock.sec = 1
+
+        def spin() -> None:
+            clock.publish(second)
+            executor.spin_once(timeout_sec=0.05)
+
+        wait_until(lambda: "/clock" not in told(), "simulated time", spin=spin)
+    finally:
+        executor.shutdown()
+        player.destroy_node()
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
+def test_a_publisher_whose_node_is_not_known_is_called_unnamed(
+    ros_domain: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from types import SimpleNamespace
+
+    from finger_common.node import ManagedNode
+
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=ros_domain)
+    node = ManagedNode(context=context)
+    names = ("/hand", "driver"), ("/", "peer"), ("_NODE_NAMESPACE_UNKNOWN_", "_NODE_NAME_UNKNOWN_")
+    found = [SimpleNamespace(node_namespace=space, node_name=name) for space, name in names]
+    monkeypatch.setattr(node, "get_publishers_info_by_topic", lambda topic: found)
+    try:
+        assert node.publishers_of("wrench") == ["/hand/driver", "/peer", "an unnamed node"]
+    finally:
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
 def test_what_a_node_made_ends_with_the_state_it_was_made_for(ros_domain: int) -> None:
     from rclpy.parameter import Parameter
     from rclpy.qos import QoSProfile

@@ -24,6 +24,9 @@ REMEMBERED = 30.0
 """s for which the middleware may still show the publishers of a node that was killed, and after
 which messages that could not be read are no longer told."""
 
+PATIENCE = 10.0
+"""s after which it is told that simulated time has not begun."""
+
 
 class StreamWatch:
     """Reports in a node's first health what harms its streams; `look` is called each second.
@@ -43,6 +46,7 @@ class StreamWatch:
         self._node = node
         self._mismatches: dict[str, QoSProfile] = {}
         self._shared_since: dict[str, float] = {}
+        self._began = time.monotonic()
 
     def look(self) -> None:
         """Report what is wrong now, and end the faults that are over."""
@@ -53,6 +57,7 @@ class StreamWatch:
         self._report_second_publishers()
         self._report_mixed_inputs()
         self._report_unreadable()
+        self._report_clock()
 
     def check_mismatch(self, polled: PolledSubscription) -> None:
         """Report publishers of a polled topic whose QoS is incompatible."""
@@ -88,7 +93,9 @@ class StreamWatch:
         own = self._node.get_fully_qualified_name()
         heartbeat = self._node.resolve_topic_name("heartbeat")
         text = ""
-        if self._lasts_twice(heartbeat, [n for n in self._publishers_of(heartbeat) if n == own]):
+        if self._lasts_twice(
+            heartbeat, [n for n in self._node.publishers_of(heartbeat) if n == own]
+        ):
             text = (
                 f"another {own} runs, and either answers requests: end one, or give it another "
                 "namespace"
@@ -116,7 +123,7 @@ class StreamWatch:
         mixed = []
         for topic, mixes in self.read.items():
             several = self._node.count_publishers(topic) > 1  # costs less
-            names = self._publishers_of(topic) if several else []
+            names = self._node.publishers_of(topic) if several else []
             if len(set(names)) > 1 or self._lasts_twice(topic, names):
                 who = "this node mixes" if mixes() else "readers in other processes mix"
                 mixed.append(f"{topic} is published by {' and '.join(sorted(names))}: {who} them")
@@ -141,6 +148,21 @@ class StreamWatch:
         recent = now - self._unreadable_told[1] < REMEMBERED
         self._tell("unreadable", "; ".join(texts) if recent else "", WARN)
 
+    def _report_clock(self) -> None:
+        """Report a simulated time that does not begin."""
+        simulated = self._node.get_parameter("use_sim_time").value
+        text = ""
+        if (
+            simulated
+            and time.monotonic() - self._began > PATIENCE
+            and not self._node.get_clock().now().nanoseconds
+        ):
+            text = (
+                "use_sim_time is true, and no time comes on /clock: start what publishes it, or "
+                "set use_sim_time to false"
+            )
+        self._tell("no_clock", text, WARN)
+
     def _tell(self, key: str, text: str, level: int) -> None:
         """Report a fault of the node, none where the text is empty."""
         health = self._node.healths[0]
@@ -151,19 +173,12 @@ class StreamWatch:
 
     def _other_publishers(self, topic: str) -> set[str]:
         """Topic and node of publishers of a stream of this node that are not this node's."""
-        names = self._publishers_of(topic)
+        names = self._node.publishers_of(topic)
         own = self._node.get_fully_qualified_name()
         found = {f"{name} ({topic})" for name in names if name != own}
         if self._lasts_twice(topic, [name for name in names if name == own]):
             found.add(f"another {own} ({topic})")
         return found
-
-    def _publishers_of(self, topic: str) -> list[str]:
-        """Nodes that publish a topic, once for each publisher."""
-        return [
-            f"{info.node_namespace.rstrip('/')}/{info.node_name}"
-            for info in self._node.get_publishers_info_by_topic(topic)
-        ]
 
     def _lasts_twice(self, topic: str, names: list[str]) -> bool:
         """Whether there have been several publishers, of one name, for a while: at first it may be
