@@ -73,6 +73,7 @@ class Background:
     pixel, greys. frame: the frame, (h, w) uint8, with plate in place of a dark border. border: mask
     of that border; None without one. lit: whether the frame has the light that the learned one has.
     one_grey: whether a guessed plate has no noise and is of one grey, as where it is cut off.
+    unmoved: `image` in light of the shape that was learned; None where the light has not moved.
     """
 
     image: np.ndarray
@@ -83,6 +84,7 @@ class Background:
     border: np.ndarray | None = None
     lit: bool = True
     one_grey: bool = False
+    unmoved: np.ndarray | None = None
 
 
 class LearnedBackground:
@@ -200,15 +202,17 @@ def background_of(
                 return cv2.convertScaleAbs(image, None, gain)
 
             image = in_this_light(learned.plate(bright))
+            unmoved = None
             if _light_moved(mean, expected, plate) or _shade_fell(
                 _reached(frame, deviation, bright, envelope), expected, bright
             ):
+                unmoved = image
                 light = _light(in_this_light(learned.image), frame, bright, envelope)
                 if bright:
                     image = cv2.addWeighted(image, 1.0, light, 1.0, -BRIGHT_LEVEL)
                 else:
                     image = cv2.multiply(image, light, scale=1.0 / LEVEL)
-            return Background(image, bright, True, learned.noise, frame, lit=lit)
+            return Background(image, bright, True, learned.noise, frame, lit=lit, unmoved=unmoved)
     border = dark_border(frame)
     if border is not None and polarity == "auto":
         mean, deviation = tile_statistics(_filled(frame, border, cv2.blur, envelope))

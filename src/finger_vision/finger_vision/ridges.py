@@ -56,6 +56,9 @@ HAIR = 0.95
 DARKEST = 80.0
 """Grey below which a plate counts as dark: noise on it is not contrast."""
 
+SOBEL_NOISE = 12 / 64
+"""Variance of a Sobel gradient (greys a pixel) over that of a pixel's noise."""
+
 GUESSED_CAUTION = 1.3
 """Factor on the contrast of certain skin where no background was learned: an earlier print may be
 there."""
@@ -143,6 +146,34 @@ def find_ridges(
     if not learned and mean < floor:
         return None
     return Ridges(box, touching, outermost, region, other_regions, doubtful, mean, followed)
+
+
+def fine_structure(background: Background, ridges: Ridges, period: float) -> tuple[float, float]:
+    """How much structure as fine as ridges a contact shows, in the direction that has least of it,
+    and in that which has most.
+
+    It is the root mean square that a wave of the ridge period (working pixels) has with gradients
+    as in the region, over the contrast of the ridges. Light that was assumed to have moved does not
+    count: what it takes away from a smooth patch leaves edges.
+    """
+    plate = background.image if background.unmoved is None else background.unmoved
+    left, top, width, height = cv2.boundingRect(ridges.region)
+    part = slice(top, top + height), slice(left, left + width)
+    inside = ridges.region[part]
+    frame, plate = (image[ridges.box][part] for image in (background.frame, plate))
+    difference = cv2.subtract(frame, plate, dtype=cv2.CV_16S)
+    along, down = (
+        cv2.Sobel(difference, cv2.CV_32F, *order, scale=1 / 8) for order in ((1, 0), (0, 1))
+    )
+    xx, yy, xy = (cv2.mean(a * b, inside)[0] for a, b in ((along,) * 2, (down,) * 2, (along, down)))
+    mean = (xx + yy) / 2 - SOBEL_NOISE * background.noise**2
+    apart = math.hypot((xx - yy) / 2, xy)
+    # Differences of pixels two apart, as Sobel's, see a wave of few pixels flatter than it is.
+    unit = 1 / (math.sin(2 * math.pi / period) * ridges.contrast)
+    if not background.bright_ridges:
+        unit *= 255 / max(cv2.mean(plate, inside)[0], DARKEST)
+    least, most = (unit * math.sqrt(max(square, 0.0)) for square in (mean - apart, mean + apart))
+    return least, most
 
 
 def _above(image: np.ndarray, limit: float) -> np.ndarray:

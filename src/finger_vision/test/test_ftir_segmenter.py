@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 import tracemalloc
 
@@ -15,6 +16,7 @@ import pytest
 
 from finger_common.errors import InputError
 from finger_common.flags import AreaFlag
+from finger_model.estimator import EstimatorSettings
 from finger_sim.ftir import AREA_PER_PIXEL, SKINS, Contact, FtirRenderer, RenderedFrame, Scene
 from finger_vision.area_sensor import NoLight
 from finger_vision.calibration import PlateCalibration
@@ -117,6 +119,13 @@ def test_small_contacts_are_within_ten_percent(study) -> None:
     error = np.abs(errors(small, "learned"))
     assert np.median(error) < 0.05
     assert error.max() < 0.15
+
+
+def test_sharp_contacts_are_not_said_to_lack_ridges(study) -> None:
+    """Of noise above 3 greys the contrast of dry skin may be too low."""
+    flags = [r[w].flags for r in study if r["scene"].noise < 3 for w in ("learned", "guessed")]
+    assert len(flags) > 80
+    assert not any(f & AreaFlag.LOW_CONTRAST for f in flags)
 
 
 def test_real_area_within_5_percent(study) -> None:
@@ -765,6 +774,71 @@ def test_a_shadow_close_around_the_contact_is_no_skin(shadow: str) -> None:
         assert seen.gross_area == pytest.approx(frame.gross_area, rel=0.04), skin
         assert seen.real_area == pytest.approx(frame.real_area, rel=0.05), skin
         assert abs(seen.gross_area - frame.gross_area) < 2 * seen.area_sd
+        assert not seen.flags & AreaFlag.LOW_CONTRAST, skin
+
+
+def blurred(image: np.ndarray, by: str) -> np.ndarray:
+    """A frame out of focus, or of a finger that moved by 31 pixels, with noise of 2 greys."""
+    if by.startswith("focus"):
+        smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), float(by.split()[1]))
+    else:
+        path = np.zeros((31, 31), np.float32)
+        path[15] = 1 / 31
+        path = path if by == "motion along" else path.T
+        smooth = cv2.filter2D(image.astype(np.float32), -1, path)
+    noise = np.random.default_rng(1).normal(0, 2, image.shape)
+    return np.clip(np.rint(smooth + noise), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("by", ["focus 6", "focus 8", "focus 14", "motion along", "motion across"])
+@pytest.mark.parametrize("bright", [False, True])
+@pytest.mark.parametrize("skin", ["natural", "moist"])
+def test_a_contact_in_which_no_ridges_are_seen_is_flagged(skin: str, bright: bool, by: str) -> None:
+    """It was taken for light that moved, with an area up to 87 % too small, or was too wide."""
+    scene = Scene(background=40 if bright else 190, bright_ridges=bright, latent=0.0)
+    renderer = FtirRenderer(skin, 3, scene, 640, 480)
+    frame = renderer.render_frame([Contact(3.5e-3, aspect=1.2)])
+    for learned in (True, False):
+        segmenter = FtirSegmenter(calibration=renderer.calibration())
+        if learned:
+            for _ in range(4):
+                segmenter.learn(blurred(renderer.empty(), by))
+        assert segmenter.measure(blurred(frame.image, by)).flags & AreaFlag.LOW_CONTRAST
+
+
+@pytest.mark.slow
+def test_most_contacts_that_moved_during_the_exposure_are_left_out() -> None:
+    out, beyond = [], []
+    for seed in (3, 11, 12, 13):
+        for skin, bright in itertools.product(SKINS, (False, True)):
+            scene = Scene(background=40 if bright else 190, bright_ridges=bright, latent=0.0)
+            renderer = FtirRenderer(skin, seed, scene, 640, 480)
+            frame = renderer.render_frame([Contact(3.5e-3, aspect=1.2)])
+            for by, learned in itertools.product(("motion along", "motion across"), (True, False)):
+                segmenter = FtirSegmenter(calibration=renderer.calibration())
+                for _ in range(4 if learned else 0):
+                    segmenter.learn(blurred(renderer.empty(), by))
+                seen = segmenter.measure(blurred(frame.image, by))
+                out.append(bool(seen.flags & EstimatorSettings().rejected_area_flags))
+                wrong = (seen.gross_area - frame.gross_area) / max(seen.area_sd, 1e-12)
+                if not out[-1] and abs(wrong) > 3:
+                    beyond.append((seen.gross_area / frame.gross_area - 1, wrong))
+    print(f"{sum(out)} of {len(out)} left out, beyond 3 deviations {np.round(beyond, 2)}")
+    assert np.mean(out) > 0.8 and len(beyond) < 0.1 * len(out)
+
+
+@pytest.mark.parametrize(("depth", "learned"), [(0.4, False), (0.6, True), (0.6, False)])
+def test_a_shadow_too_deep_for_light_that_moved_is_flagged(depth: float, learned: bool) -> None:
+    """It has no ridges; its area was given without a flag that leaves it out."""
+    renderer = FtirRenderer("natural", 5, Scene(background=170, latent=0.0), 640, 480)
+    y, x = np.mgrid[-239.5:240, -319.5:320]
+    shadow = 1 - depth / (1 + np.exp((np.hypot(x, y / 1.4) - 100) / 2))
+    segmenter = FtirSegmenter(calibration=renderer.calibration())
+    if learned:
+        for _ in range(4):
+            segmenter.learn(renderer.empty())
+    seen = segmenter.measure(np.rint(renderer.empty() * shadow).astype(np.uint8))
+    assert seen.gross_area > 0 and seen.flags & AreaFlag.LOW_CONTRAST
 
 
 def test_a_patch_flooded_with_sweat_is_no_light_that_moved() -> None:
