@@ -27,7 +27,16 @@ from .area_sensor import AreaSensor, ContactMeasurement, NoLight
 from .background import POLARITIES, LearnedBackground, background_of, tile_means
 from .calibration import PlateCalibration
 from .lost_pixels import has_lost_pixels
-from .outline import Shape, closed_outline, convex_corners, shifted, widened
+from .outline import (
+    Shape,
+    closed_outline,
+    convex_corners,
+    empty_share,
+    filled,
+    has_lobes,
+    shifted,
+    widened,
+)
 from .regions import Followed
 from .ridges import Ridges, contrast_of, find_ridges, fine_structure
 from .working_grid import WorkingGrid
@@ -75,6 +84,13 @@ SHARP_RIM, BLUR = 20e-6, 1.4
 """Width (m) from half of the contrast out to the outermost trace in a sharp picture; and what a
 blurred one's outline is too far out, in widths above that (rendered frames)."""
 
+
+EMPTY, EMPTY_SD = 0.05, 2.0
+"""Share of the hull without ridges up to which a contact is convex, and standard deviation of the
+area for what is beyond it: something is joined with the contact."""
+
+LOBES = 0.6
+"""Two discs of this share of the widest one, joined by something narrower, are two contacts."""
 
 FINE, OUTSIDE, OUTSIDE_SD = 50e-6, 0.5, 0.75
 """A camera's pixels (m) up to which outlines are as in rendered frames of 31 µm; and pixels by
@@ -299,11 +315,11 @@ class FtirSegmenter(AreaSensor):
                 flags |= AreaFlag.LOW_CONTRAST
             return ContactMeasurement(flags=int(flags)), background.bright_ridges
         self._followed = ridges.followed
-        shape, real_area, hull, doubt = outlined
+        shape, real_area, hull, doubt, lobes = outlined
         if ridges.other_regions:
             flags |= AreaFlag.MULTIPLE_REGIONS
         cut = self._is_clipped(hull, grid) or _reaches(ridges, background.border, grid)
-        if cut or ridges.followed.open:
+        if cut or lobes or ridges.followed.open:
             flags |= AreaFlag.CLIPPED
         if real_area < 0.2 * shape.area or shape.area < 5e-6:
             flags |= AreaFlag.SPARSE
@@ -339,9 +355,10 @@ class FtirSegmenter(AreaSensor):
 
     def _outline(
         self, ridges: Ridges, grid: WorkingGrid, saturated: float, in_doubt: float
-    ) -> tuple[Shape, float, np.ndarray, float] | None:
-        """Shape, real area (m²), outline (n, 2) m and the standard deviation of the area (m²) that
-        saturation, blur, coarse pixels and doubtful parts add.
+    ) -> tuple[Shape, float, np.ndarray, float, bool] | None:
+        """Shape, real area (m²), outline (n, 2) m, the standard deviation of the area (m²) that
+        saturation, blur, coarse pixels, doubtful parts and an empty part of the hull add, and
+        whether there are two contacts.
 
         saturated, in_doubt: as of `_saturated_share`. None where nothing is left.
         """
@@ -378,8 +395,14 @@ class FtirSegmenter(AreaSensor):
             apart = (_pixels_in(most) - _pixels_in(least)) * grid.pitch**2
         hidden = in_doubt * extra * furrow
         rough = coarse * OUTSIDE_SD * grid.pitch
-        doubt = math.hypot(*(x * shape.perimeter for x in (hidden, blurred, rough)), apart)
-        return shape, real_area, outline, doubt
+        covered = filled(ridges.outermost, 2.5 * grid.period, 4)
+        empty = max(empty_share(covered) - EMPTY, 0.0) if convex else 0.0
+        doubt = math.hypot(
+            *(x * shape.perimeter for x in (hidden, blurred, rough)),
+            apart,
+            EMPTY_SD * empty * shape.area,
+        )
+        return shape, real_area, outline, doubt, has_lobes(covered, LOBES)
 
     def _is_pale(self, contrast: np.ndarray, noise: float, grid: WorkingGrid) -> bool:
         """Whether a frame without contact shows a print that is too pale to count."""

@@ -54,6 +54,37 @@ def closed_outline(mask: np.ndarray, gap: int, half: float = 0.5) -> np.ndarray:
     return shifted(contour, half) if len(contour) > 8 else np.zeros((0, 2))
 
 
+def filled(mask: np.ndarray, gap: float, coarser: int) -> np.ndarray:
+    """Mask, `coarser` times coarser, of a mask whose gaps up to `gap` pixels are closed and whose
+    holes are filled; with an empty border."""
+    size = max(3, round(gap / coarser) | 1)
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    shape = (-(-mask.shape[1] // coarser), -(-mask.shape[0] // coarser))
+    coarse = cv2.resize(mask, shape, interpolation=cv2.INTER_AREA)
+    coarse = cv2.threshold(coarse, 0, 255, cv2.THRESH_BINARY)[1]
+    padded = cv2.copyMakeBorder(coarse, size, size, size, size, cv2.BORDER_CONSTANT, value=0)
+    closed = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, kernel)
+    cv2.drawContours(closed, _contours(closed), -1, 255, cv2.FILLED)
+    return closed
+
+
+def empty_share(mask: np.ndarray) -> float:
+    """Share of the convex hull of a mask that the mask leaves empty."""
+    parts = _contours(mask)
+    if not parts:
+        return 0.0
+    hull = cv2.contourArea(cv2.convexHull(np.concatenate(parts)))
+    return 1 - sum(map(cv2.contourArea, parts)) / hull if hull > 0 else 0.0
+
+
+def has_lobes(mask: np.ndarray, share: float) -> bool:
+    """Whether a mask with an empty border has two discs of `share` of its widest disc that are
+    joined by something narrower."""
+    inside = cv2.distanceTransform(mask, cv2.DIST_L2, 5)
+    cores = np.where(inside > share * inside.max(), np.uint8(1), np.uint8(0))
+    return cv2.connectedComponents(cores)[0] > 2
+
+
 def _contours(mask: np.ndarray) -> list[np.ndarray]:
     """Outer contours (n, 2) of the parts of a mask."""
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)

@@ -324,6 +324,59 @@ def test_regions_nearby_widen_the_deviation_and_distant_ones_do_not() -> None:
             assert seen.area_sd == pytest.approx(alone.area_sd, rel=0.05)
 
 
+@pytest.mark.parametrize("gap", [0.0, 0.9e-3])
+@pytest.mark.parametrize("skin", SKINS)
+def test_a_second_finger_that_touches_the_first_widens_the_deviation_or_is_flagged(
+    skin: str, gap: float
+) -> None:
+    """The hull of both was 16 to 140 % too large, at 8 to 37 deviations, without a flag."""
+    renderer = FtirRenderer(skin, 6, Scene(latent=0.0))
+    segmenter = FtirSegmenter(calibration=renderer.calibration())
+    for _ in range(3):
+        segmenter.learn(renderer.empty())
+    for radius in (1.2e-3, 1.8e-3, 2.5e-3, 4e-3):
+        other = Contact(radius, (gap + radius, 0))
+        frame = renderer.render_frame([Contact(4e-3, (-4e-3, 0)), other])
+        seen = segmenter.measure(frame.image)
+        assert seen.gross_area > 1.1 * frame.gross_area
+        if radius > 2e-3:
+            assert seen.flags & AreaFlag.CLIPPED
+        else:
+            assert seen.gross_area < frame.gross_area + 3 * seen.area_sd
+
+
+def fallen(what: str) -> np.ndarray:
+    """What fell on a plate (480, 640) and touches a contact at its centre: 0 to 1."""
+    shape = np.zeros((480, 640), np.uint8)
+    if what == "hair":
+        line = np.array([(50, 200), (300, 230), (600, 300)], np.int32)
+        cv2.polylines(shape, [line], False, 180, 2, cv2.LINE_AA)
+    elif what == "scratch":
+        cv2.line(shape, (0, 100), (640, 380), 180, 3, cv2.LINE_AA)
+    elif what == "ring of water":
+        cv2.circle(shape, (430, 240), 48, 255, 6, cv2.LINE_AA)
+    else:
+        cv2.circle(shape, (440, 330), 8, 255, -1, cv2.LINE_AA)
+    return cv2.GaussianBlur(shape, (0, 0), 1.0) / 255
+
+
+@pytest.mark.parametrize("what", ["hair", "scratch", "ring of water", "small drop"])
+@pytest.mark.parametrize("skin", SKINS)
+def test_what_fell_on_the_plate_and_touches_the_contact_widens_the_deviation(
+    skin: str, what: str
+) -> None:
+    """Areas were 11 to 17 % too large, at 6 to 8 deviations."""
+    renderer = FtirRenderer(skin, 5, Scene(background=170, latent=0.0, dust=0), 640, 480)
+    frame = renderer.render_frame([Contact(3.5e-3, aspect=1.2)])
+    segmenter = FtirSegmenter(calibration=renderer.calibration())
+    for _ in range(3):
+        segmenter.learn(renderer.empty())
+    alone = segmenter.measure(frame.image)
+    assert alone.area_sd < 0.03 * alone.gross_area
+    seen = segmenter.measure(np.rint(frame.image * (1 - 0.85 * fallen(what))).astype(np.uint8))
+    assert seen.gross_area < frame.gross_area + 3 * seen.area_sd
+
+
 def test_what_stays_on_the_plate_does_not_hide_the_next_press() -> None:
     """A drop that is a contact, and later a larger finger beside it."""
     renderer = FtirRenderer("natural", 7, Scene(latent=0.0))
