@@ -47,6 +47,10 @@ REACH = 2.5e-3
 DENSITY = 0.06
 """Share of ridge pixels about a point that makes it part of a region."""
 
+SPIKE, SPREAD = 3.0, 5.0
+"""Contrast of a pixel over that of all beside it above which it is a dead pixel of the camera; and
+working pixels of a ridge period from which on light spreads over more than one."""
+
 OTHER_REGION = 2e-6
 """m², smallest region beside the finger's that is reported."""
 
@@ -142,6 +146,10 @@ def find_ridges(
     doubtful = None if near is None else outermost & near
     touching &= region
     outermost &= region
+    if grid.period > SPREAD:
+        # Even the end of a ridge shows in the pixels beside it.
+        beside = cv2.dilate(part, np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.uint8))
+        outermost &= cv2.compare(part, cv2.convertScaleAbs(beside, alpha=SPIKE), cv2.CMP_LE)
     mean = cv2.mean(contrast[box], touching)[0]
     if not learned and mean < floor:
         return None
