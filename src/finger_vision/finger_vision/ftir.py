@@ -24,7 +24,7 @@ from finger_common.mono8 import Mono8, OneChannel
 from finger_common.settings import Settings, setting
 
 from .area_sensor import AreaSensor, ContactMeasurement, NoLight
-from .background import POLARITIES, LearnedBackground, background_of, tile_means
+from .background import POLARITIES, Background, LearnedBackground, background_of, tile_means
 from .calibration import PlateCalibration
 from .lost_pixels import has_lost_pixels
 from .outline import (
@@ -325,9 +325,8 @@ class FtirSegmenter(AreaSensor):
             flags |= AreaFlag.SPARSE
         lost = background.learned and ridges.contrast < IN_NOISE * noise
         pale = ridges.contrast < 1.7 * settings.minimum_contrast * 255
-        least, most = fine_structure(background, ridges, grid.period)
-        smooth = least < max(LEAST_STRUCTURE, SMEARED * most)
-        if lost or pale or smooth or grid.period < COARSEST:
+        coarse = grid.period < COARSEST
+        if lost or pale or coarse or _lacks_ridges(background, ridges, grid):
             flags |= AreaFlag.LOW_CONTRAST
         if in_doubt > ONE_GREY or _is_saturated(frame, ridges):
             flags |= AreaFlag.SATURATED
@@ -474,6 +473,12 @@ def ellipse_deviations(
     # No direction is known of a circle.
     angle = min(noise / 2 / max(longer, 1e-12), math.pi / math.sqrt(12))
     return share * math.sqrt(a * b / 2), major_sd, minor_sd, angle
+
+
+def _lacks_ridges(background: Background, ridges: Ridges, grid: WorkingGrid) -> bool:
+    """Whether a contact of some contrast may be a shadow, or is blurred too much."""
+    least, most = fine_structure(background, ridges, grid.period)
+    return least < max(LEAST_STRUCTURE, SMEARED * most)
 
 
 def _is_of_one_grey(image: np.ndarray) -> bool:
