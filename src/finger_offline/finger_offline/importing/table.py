@@ -177,10 +177,13 @@ class Table:
         if isinstance(cells, np.ndarray) and cells.dtype.kind in "mM":
             kind = cells.dtype.kind
             known = ~np.isnat(cells)
-            stamps = cells.astype(f"{'datetime' if kind == 'M' else 'timedelta'}64[ns]")
-            wrong = known & (stamps.astype(cells.dtype) != cells)  # beyond what 64 bits hold
+            # Seconds first: what 64 bits do not hold in ns wraps, or raises by the NumPy.
+            name = "datetime" if kind == "M" else "timedelta"
+            whole = np.where(known, cells.astype(f"{name}64[s]").astype(np.int64), 0)
+            wrong = np.abs(whole.astype(float)) > 9.2e9
             if wrong.any():
                 self._refuse(heading, int(np.argmax(wrong)), "is no time; correct it")
+            stamps = cells.astype(f"{name}64[ns]")
             ns = np.where(known, stamps.astype(np.int64), 0)
             return self._some(heading, Times(ns, kind == "M", known))
         first = next((cell for cell in cells if not is_missing(cell)), None)
