@@ -112,7 +112,8 @@ def check_force_history(
     time, force = column(time, f"{where}: time"), column(force, f"{where}: force")
     if time.shape != force.shape or not len(time):
         raise InputError(
-            f"{where}: time {time.shape} and force {force.shape} must be two arrays of equal length"
+            f"{where}: time {time.shape} and force {force.shape} must be two arrays of equal "
+            "length, not empty"
         )
     for name, values in (("time", time), ("force", force)):
         bad = np.flatnonzero(~np.isfinite(values))
