@@ -28,6 +28,7 @@ from std_srvs.srv import Trigger
 from finger_common.cli import one_line
 from finger_common.diagnostics import WARN, Health
 from finger_common.errors import FingerError
+from finger_common.flags import StateFlag
 from finger_common.moisture import MOISTURE_TEXT, is_moisture
 from finger_common.node import (
     EVENTS_QOS,
@@ -369,6 +370,8 @@ class ModelNode(ManagedNode):
                 run.age.add(now - stamp)
                 run.last = estimate
                 run.flags |= estimate.flags
+                if estimate.flags & StateFlag.TIME_RESET:
+                    self._readings.clear()  # those of this time come anew, as in a loop of a bag
                 self.health.sample()
             # Of two estimates the first is of the sample before, which had waited.
             samples = (run.before, (force, torque))
