@@ -5,6 +5,14 @@
 
 from __future__ import annotations
 
+from .estimator import EstimatorSettings
+
+LONGEST_DELAY = EstimatorSettings.parameters()["fusion_delay"].maximum
+"""s"""
+
+YEAR = 365.25 * 86400.0
+"""s; stamps that differ by more are of clocks that count from other times."""
+
 
 class Lateness:
     """Counts late inputs of one kind since the last `look`. kind: plural name, for messages."""
@@ -29,9 +37,13 @@ class Lateness:
             return ""
         lag = abs(self._lag)
         by = f"{lag:.3g} s" if lag < 100.0 else f"{lag:.0f} s"
+        if lag > YEAR:
+            by = f"{lag / YEAR:.0f} years"
         where, remedy = "ahead of", ""
         if self._lag >= 0.0:
-            where, remedy = "behind", ", or raise fusion_delay"
+            where = "behind"
+            if LONGEST_DELAY is not None and lag < LONGEST_DELAY:
+                remedy = ", or raise fusion_delay"
         return (
             f"{self._kind} are stamped {by} {where} the force and left out: set the clocks of both "
             f"alike{remedy}"

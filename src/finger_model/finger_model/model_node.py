@@ -28,7 +28,7 @@ from std_srvs.srv import Trigger
 from finger_common.cli import one_line
 from finger_common.diagnostics import WARN, Health
 from finger_common.errors import FingerError
-from finger_common.flags import StateFlag
+from finger_common.flags import AreaFlag, StateFlag
 from finger_common.moisture import MOISTURE_TEXT, is_moisture
 from finger_common.node import (
     EVENTS_QOS,
@@ -361,6 +361,9 @@ class ModelNode(ManagedNode):
             run.watch.add(stamp, frame, not estimates)
             for estimate in estimates:
                 run.watch.see(estimate.stamp_ns, estimate.normal_force, estimate.lateral_force)
+                run.area_watch.see_force(
+                    estimate.stamp_ns, estimate.normal_force, estimate.in_contact
+                )
                 if presses.collecting:
                     presses.add_force(estimate.stamp_ns, estimate.normal_force)
                 texts = frame, estimate.parameter_set
@@ -413,6 +416,8 @@ class ModelNode(ManagedNode):
             if not silent:
                 self._model_diagnostics.late["late_areas"].add(not used, self._behind(run, area[0]))
             if used:
+                if not left_out or area[3] & AreaFlag.NO_CONTACT:
+                    run.area_watch.see_area(area[0], 0.0 if left_out else area[1])
                 outline = outline_of(message)
                 self._check_outline(outline)
                 run.slip_and_shape.see_area(area[0], stick_of(message), outline)

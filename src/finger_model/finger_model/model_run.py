@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from .area_watch import AreaWatch
 from .estimator import ContactEstimate, ContactEstimator
 from .latency import LatencyHistogram
 from .slip_and_shape import SlipAndShape
@@ -33,6 +34,7 @@ class Run:
     last: ContactEstimate | None = None
     flags: int = 0
     watch: WrenchWatch = field(default_factory=WrenchWatch)
+    area_watch: AreaWatch = field(default_factory=AreaWatch)
     area_received: bool = False
     plate: str = ""
     """Frame of the newest area."""

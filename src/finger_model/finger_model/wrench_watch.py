@@ -51,6 +51,8 @@ class WrenchWatch:
         self._frames: dict[str, None] = {}
         """In the order seen."""
         self._newest_frame: str | None = None
+        self.largest = 0.0
+        """N, largest normal force since the last `look`."""
         self._seen = 0
         self.forget()
 
@@ -79,6 +81,8 @@ class WrenchWatch:
         """Look at the force of an estimate, N along and across the normal axis."""
         passed = min(max(seconds(stamp_ns - self._seen), 0.0), LONGEST_STEP)
         self._seen = stamp_ns
+        if normal > self.largest:
+            self.largest = normal
         if lateral > ACROSS and abs(normal) < ALONG * lateral:
             self._doubted = stamp_ns
             self._across_for += passed
@@ -104,6 +108,7 @@ class WrenchWatch:
             "normal_axis": self._of_axis(normal_axis),
         }
         self._looked, self._came, self._dropped, self._stamps = now, 0, 0, None
+        self.largest = 0.0
         self._frames = {} if self._newest_frame is None else {self._newest_frame: None}
         return found
 

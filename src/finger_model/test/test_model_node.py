@@ -799,6 +799,41 @@ def test_inputs_that_are_missing_or_cannot_be_used_are_named_with_a_remedy(
     bench.until(lambda: not says("inputs", "contact_area has"))
 
 
+def test_a_force_that_is_no_fingers_or_that_areas_do_not_share_is_named(
+    bench: Bench, process: Callable[..., Any]
+) -> None:
+    start(process)
+    bench.connected()
+
+    def says(text: str) -> bool:
+        return text in bench.diagnostics.get("inputs", {}).get("message", "")
+
+    def pressed(first: int, force: float) -> None:
+        """3 s with an area each 0.1 s."""
+        count = len(bench.states)
+        for n in range(first, first + 3000, 10):
+            if n % 100 == 0:
+                area = ContactArea(gross_area=54e-6, area_stddev=2e-6)
+                area.header.stamp = to_time(T0 + n * MS)
+                bench.area.publish(area)
+                bench.until(lambda n=n: len(bench.states) >= count + (n - first) // 10)
+            bench.press(T0 + n * MS, force)
+        bench.answered(count + 300)
+
+    pressed(0, 0.001)
+    bench.until(lambda: says("contact_area has shown a contact for 3 s, of 54 mm²"))
+    assert says("and the force none (0.001 N now): check sensor, its unit (N)")
+    stamps = itertools.count(T0 + 3000 * MS, 10 * MS)
+    for force, text in (
+        (4.0, "a force of 4 N is beyond the 3 N that the reduced model was built for: press less"),
+        (400.0, "a force of 400 N is no finger's: publish the wrench in N"),
+    ):
+        for _ in range(5):
+            bench.press(next(stamps), force)
+        bench.until(lambda text=text: any(said.startswith(text) for said in bench.said))
+    assert not says("the force none")
+
+
 @pytest.mark.parametrize("other", [(0.0, 0.0), (54e-6, 2e-6)], ids=["empty", "good"])
 def test_areas_that_cannot_be_used_now_and_then_are_logged_once(
     other: tuple[float, float],

@@ -9,10 +9,11 @@ from __future__ import annotations
 import json
 import math
 
-from finger_common.diagnostics import WARN, Health, full_node_name
+from finger_common.diagnostics import WARN, Health
 from finger_common.flags import StateFlag
 from finger_common.node import ManagedNode
 from finger_common.stamps import seconds
+from finger_common.units import LARGEST_FORCE
 
 from ..estimator import EstimatorSettings
 from ..estimator.stream import LARGEST_AREA, LEAST_AREA
@@ -32,10 +33,21 @@ _WARNINGS = {
     "nothing on the plate",
     StateFlag.POSE_OUT_OF_RANGE: "pad_aspect, the plate's tilt or the finger's proportions are "
     "beyond what the correction of the area was learned for",
-    StateFlag.FORCE_OUT_OF_RANGE: "the force is beyond what the reduced model was built for",
 }
 
 _NO_AREA = "in contact for longer than area_stale_after, and no area was fused in this contact"
+
+
+def _beyond(force: float, limit: float) -> str:
+    """What to say of a force (N) out of range; limit: of the model (N)."""
+    if force > LARGEST_FORCE:
+        return f"a force of {force:.3g} N is no finger's: publish the wrench in N"
+    if force > limit:
+        return (
+            f"a force of {force:.3g} N is beyond the {limit:.2g} N that the reduced model was "
+            "built for: press less hard, or set reduced_model_file"
+        )
+    return "the force is beyond what the tissue of these parameters carries: press less hard"
 
 
 class ModelDiagnostics:
@@ -67,6 +79,10 @@ class ModelDiagnostics:
             key = flag.name.lower()  # type: ignore[union-attr]
             moisture = math.nan if run.last is None else run.last.moisture
             self.warn_while(bool(flags & flag), key, sentence.format(moisture=moisture))
+        beyond = _beyond(run.watch.largest, run.estimator.force_limit)
+        self.warn_while(bool(flags & StateFlag.FORCE_OUT_OF_RANGE), "force_out_of_range", beyond)
+        for key, sentence in run.area_watch.look().items():
+            self.warn_while(bool(sentence), key, sentence)
         self.warn_while(self._area_is_overdue(run), "area_missing", _NO_AREA)
         doubt = run.estimator.parameter_sets.doubt()
         self.warn_while(bool(doubt), "parameter_status", doubt)
@@ -115,10 +131,7 @@ class ModelDiagnostics:
     def _missing_wrench(self) -> str:
         """What to check where no sample comes."""
         topic = self._node.resolve_topic_name(self._node.values["wrench_topic"])
-        sources = sorted(
-            full_node_name(info.node_name, info.node_namespace)
-            for info in self._node.get_publishers_info_by_topic(topic)
-        )
+        sources = sorted(name.removeprefix("/") for name in self._node.publishers_of(topic))
         if not sources:
             return f"nothing comes on {topic}, 0 publishers: check wrench_topic and namespace"
         return f"nothing comes on {topic} from {', '.join(sources)}: check that node and its sensor"
