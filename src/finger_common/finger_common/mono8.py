@@ -15,11 +15,6 @@ _UPPER_BITS, _LOW_BITS = 0xF000, 0x000F
 """Bits of which a picture in the lower 10 or 12 bits has none, and one in the upper 12, 10 or 8."""
 
 
-_ROUGH, _ROUGHER = 40.0, 4.0
-"""Mean step from pixel to pixel of the high byte, and the same over that of the low one, above
-which the low one holds the picture: in the right order it holds what is finer than 8 bits, which is
-mostly noise, with steps of 85 in the mean."""
-
 LEAST_BRIGHTEST = 0x1000
 """Least value of a 16-bit picture that has used the upper bits."""
 
@@ -86,7 +81,6 @@ class Mono8:
 
     def __init__(self, dark: bool = False) -> None:
         self._full_scale = dark
-        self._in_order = False
         self.colour = OneChannel()
 
     def __call__(self, image: np.ndarray, where: str = "image") -> np.ndarray:
@@ -94,7 +88,7 @@ class Mono8:
 
         image: (H, W), (H, W, 1), (H, W, 3) or (H, W, 4), alpha last. 16-bit images are scaled by
         1/256, so that full scale stays full scale. Raises InputError for an empty image, another
-        shape or type, and for pixels in the lower bits or in the other order of bytes.
+        shape or type, and for pixels in the lower bits.
         """
         image = np.asarray(image)
         if image.size == 0:
@@ -112,13 +106,6 @@ class Mono8:
             raise InputError(f"{where}: image has shape {shape}, (height, width) is needed")
         if image.dtype == np.uint8:
             return image
-        if not self._in_order:
-            if in_other_order(image):
-                raise InputError(
-                    f"{where}: the bytes of the 16-bit pixels are in the other order; correct "
-                    "is_bigendian of the sender, or set the camera to 8 bits"
-                )
-            self._in_order = bool(image.any())
         if not self._full_scale:
             self._full_scale = self._fills_upper_bits(image, where)
         return (image >> 8).astype(np.uint8)
@@ -139,17 +126,6 @@ def in_low_bits(image: np.ndarray) -> bool:
     uses the lowest bits."""
     used = int(np.bitwise_or.reduce(image, axis=None))
     return not used & _UPPER_BITS and bool(used & _LOW_BITS)
-
-
-def in_other_order(image: np.ndarray) -> bool:
-    """Whether the low bytes of a 16-bit picture (H, W) show it, and the high ones its noise."""
-    rows = image[::8]
-    steps = [
-        float(np.mean(np.abs(np.diff(byte.astype(np.int16), axis=1)))) if byte.size else 0.0
-        for byte in (rows >> 8, rows & 0xFF)
-    ]
-    varies = float(np.std(rows & 0xFF)) > 1
-    return varies and steps[0] > max(_ROUGH, _ROUGHER * steps[1])
 
 
 def as_mono8(image: np.ndarray, where: str = "image") -> np.ndarray:

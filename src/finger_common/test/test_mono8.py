@@ -43,22 +43,6 @@ def test_a_picture_in_the_lower_bits_is_refused_until_the_camera_has_shown_more(
     assert not any(map(in_low_bits, (LOWER * 16, LOWER & 0xFFF0, LOWER * 0)))
 
 
-@pytest.mark.parametrize("lowest", [0, 4, 6, 8])
-@pytest.mark.parametrize("plate", [12, 190])
-def test_a_picture_in_the_other_order_of_bytes_is_refused(plate: int, lowest: int) -> None:
-    """It looked like noise, in which no contact was found. `lowest`: bits that the camera leaves
-    empty."""
-    rng = np.random.default_rng(2)
-    grey = plate * (1 - 0.4 * np.hypot(*np.mgrid[-1:1:60j, -1:1:80j]) / 1.5)
-    grey[20:40, 30:50] *= 0.5 + 0.4 * np.sin(np.arange(20))
-    deep = np.rint((grey + rng.normal(0, 1, grey.shape)).clip(1) * 256).astype(np.uint16)
-    deep = deep >> lowest << lowest
-    np.testing.assert_array_equal(Mono8(dark=True)(deep), deep >> 8)
-    if lowest < 8:
-        with pytest.raises(InputError, match="other order"):
-            Mono8(dark=True)(deep.byteswap())
-
-
 def test_white_of_a_pgm_is_that_of_its_header() -> None:
     header = b"P5\n# a comment\n64 64\n4095\n"
     assert white_level(header) == 4095 and white_level(b"P4\n8 8\n") is None
