@@ -2,6 +2,7 @@
 `contact_slip`.
 
     python examples/slip_grip.py                # the simulation: fixed grip against slip margin
+    python examples/slip_grip.py --loads        # loads that come and go, and slow grippers: minutes
     python examples/slip_grip.py --node --ros-args -r __ns:=/finger
 
 The node answers every `contact_slip` with the force to grip with, on `grip_force`
@@ -27,6 +28,9 @@ GRAVITY = 9.81
 SAFE = 0.15
 """Share of the normal force that any skin carries sideways."""
 
+LET_GO = 0.5
+"""s without a known slip after which an object counts as let go."""
+
 STALE_AFTER = 0.05
 """s without a contact_slip after which the node repeats its force."""
 
@@ -40,7 +44,7 @@ class SlipGrip:
     (N); rise, fall: of the force (N/s); cautious: standard deviations by which friction is taken
     lower than estimated. keep: share of the force for the largest load that stays when the load
     falls, as of an object that is set down and will be lifted again; it fades with the time
-    constant `memory` (s).
+    constant `memory` (s), and ends when the object is let go.
 
     As long as no slip was seen the friction is a guess. The force then falls slowly until a slip
     begins, which tells it, and steps up and down by the share `dither`, `dither_rate` times a
@@ -73,6 +77,7 @@ class SlipGrip:
     _stamp: float = field(default=-math.inf, init=False)
     _alarmed: float = field(default=-math.inf, init=False)
     _reflex: float = field(default=0.0, init=False)
+    _known: float = field(default=-math.inf, init=False)
     _kept: float = field(default=0.0, init=False)
     _tried: float = field(default=SAFE, init=False)
 
@@ -107,6 +112,9 @@ class SlipGrip:
             return self.force
         if math.isnan(self.force):
             self.force = min(max(normal, self.smallest), self.largest)
+        if stamp - self._known > LET_GO:
+            self._kept, self._tried = 0.0, SAFE
+        self._known = stamp
         guess = bool(flags & SlipFlag.FRICTION_ASSUMED)
         # |Q|: the margin is the mean over all frictions that may be, whose spread makes it smaller.
         spread = 1.0 + (friction_sd / friction) ** 2
@@ -229,6 +237,55 @@ def simulate(seeds: int = 5) -> None:
         print(f"{friction:8.2f}  {text:13s}  {found}   {ratio:.2f}")
 
 
+def set_down(begin: float, table: float, lift: float) -> Callable[[float], float]:
+    """Share of the weight that fingers carry of an object that is set down at `begin` (s), stands
+    on a table for `table` (s) and is set down and lifted within `lift` (s)."""
+    at = [begin, begin + lift, begin + table, begin + table + lift]
+    return lambda time: float(np.interp(time, at, [1.0, 0.0, 0.0, 1.0]))
+
+
+def swing(rate: float) -> Callable[[float], float]:
+    """The same of an object that swings by 30 %, `rate` times a second."""
+    return lambda time: 1.0 + 0.3 * math.sin(2.0 * math.pi * rate * time)
+
+
+def simulate_loads() -> None:
+    """Print how ours holds objects whose load comes and goes, and what a dead time costs."""
+
+    def told(what: str, outcomes: list[Outcome]) -> None:
+        slid = 1e3 * np.array([outcome.slid for outcome in outcomes])
+        dropped = sum(outcome.dropped for outcome in outcomes)
+        ratio = np.mean([o.force_ratio for o in outcomes if not o.dropped])
+        print(
+            f"{what}: {dropped} of {len(outcomes)} dropped, slid {slid.mean():.1f} mm, at most "
+            f"{slid.max():.1f} mm; {ratio:.2f} of the least force"
+        )
+
+    for table, lift, begin in ((1.5, 0.1, 5.0), (3.0, 0.2, 5.0), (6.0, 0.2, 3.0)):
+        for keep in (0.0, SlipGrip.keep):
+            grips = [
+                hold(SlipGrip(force=2.0, keep=keep), friction, seed, lifted=lifted)
+                for lifted in [set_down(begin, table, lift)]
+                for friction in (0.25, 0.35, 0.5, 0.7, 1.0)
+                for seed in range(3)
+            ]
+            told(f"{table:g} s on a table, lifted within {lift:g} s, keep {keep:g}", grips)
+    for rate in (1.0, 2.0, 4.0, 8.0):
+        grips = [
+            hold(SlipGrip(force=2.0), friction, seed, lifted=swing(rate))
+            for friction in (0.25, 0.35, 0.5, 0.7)
+            for seed in range(3)
+        ]
+        told(f"a swing of 30 %, {rate:g} a second", grips)
+    for delay in (0.02, 0.03, 0.05):
+        grips = [hold(SlipGrip(force=2.0), 0.25, seed, delay=delay) for seed in range(4)]
+        told(f"friction 0.25, dead time {1e3 * delay:g} ms", grips)
+    for friction in (0.25, 0.5, 1.0):
+        late = {"force": 2.0, "dither": 0.0, "unsure": 1.0}
+        grips = [hold(SlipGrip(**late), friction, seed, delay=0.1) for seed in range(4)]
+        told(f"friction {friction:g}, dead time 100 ms, dither 0, unsure 1", grips)
+
+
 def run_node(arguments: list[str]) -> None:
     """Answer contact_slip with grip_force until Ctrl-C."""
     import rclpy
@@ -294,9 +351,12 @@ def main() -> None:
     """Run the simulation or the node."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--node", action="store_true", help="run the ROS node")
+    parser.add_argument("--loads", action="store_true", help="simulate other loads and grippers")
     values, others = parser.parse_known_args()
     if values.node:
         run_node(others)
+    elif values.loads:
+        simulate_loads()
     else:
         simulate()
 

@@ -9,14 +9,7 @@ from dataclasses import dataclass
 
 from finger_bag.mapping import MappedTopic
 from finger_bag.reader import BagReader
-from finger_bag.streams import (
-    IMAGES,
-    apart,
-    find_topic,
-    find_used,
-    find_wrench,
-    missing,
-)
+from finger_bag.streams import IMAGES, apart, find_topic, find_used, find_wrench, missing
 
 from .process_options import ProcessOptions
 
