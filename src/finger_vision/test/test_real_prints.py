@@ -230,6 +230,16 @@ def test_prints_too_pale_or_out_of_focus_are_doubted_and_not_learned(prints) -> 
     assert len(doubted) >= 0.9 * len(lost)
 
 
+def test_real_prints_are_not_said_to_lack_ridges(prints) -> None:
+    flagged = [
+        row["file"]
+        for row in prints
+        if not row["edge"]
+        and segmenter_for(row["dpi"]).measure(row["image"]).flags & AreaFlag.LOW_CONTRAST
+    ]
+    assert not flagged
+
+
 def test_an_earlier_print_alone_is_plate(prints) -> None:
     noise = 2 * np.random.default_rng(0).standard_normal((480, 640))
     for row in prints:
