@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.linalg.lapack import dpbtrf, dpbtrs
+from scipy.linalg.lapack import dpbtrf
 
 from ..compiled import njit
 from ..geometry import Geometry
@@ -37,6 +37,9 @@ class LinearContact:
         self.length = geometry.pad_semi_axis_radial
         self._coarse = _Linear(similar_mesh(geometry))
         self._default = _Linear(finger_mesh(geometry))
+        self._single = np.eye(len(self._coarse.radius))
+        meshes = self._coarse, self._default
+        self._hertzian = [mesh.hertzian_load(PRESSED * self.length) for mesh in meshes]
 
     def at(self, material: MaxwellLaw, share: float) -> tuple[np.ndarray, np.ndarray]:
         """Curve and meshes where the bulk tissue has the shear modulus G0 and the modulus E = E0,
@@ -48,18 +51,17 @@ class LinearContact:
         the skin and through it.
         """
         mesh = self._coarse
-        flexibility = mesh.displacements(material, share, np.eye(len(mesh.radius)))
+        flexibility = mesh.flexibility(material, share, self._single)
         scale = material.instantaneous_modulus * share * self.length**2
-        rows = _rows(np.ascontiguousarray(flexibility), mesh.gap)
+        rows = _rows(flexibility, mesh.gap)
         rows = rows[rows[:, 0] > 0.0]
         x = np.log(rows[:, 0] / scale) / 3.0
         area = np.log(math.pi * (mesh.radius[rows[:, 2].astype(int)] / self.length) ** 2)
         rising = np.concatenate([[True], x[1:] > np.maximum.accumulate(x)[:-1]])
         curve = np.column_stack([x, area, np.log(rows[:, 1] / self.length)])[rising]
-        load = self._default.hertzian_load(PRESSED * self.length)
-        compliance = load @ self._default.displacements(material, share, load[:, None])[:, 0]
-        load = mesh.hertzian_load(PRESSED * self.length)
-        ratio = math.log(compliance / (load @ flexibility @ load))
+        coarse, default = self._hertzian
+        compliance = self._default.flexibility(material, share, default[:, None]).item()
+        ratio = math.log(compliance / (coarse @ flexibility @ coarse))
         return curve, np.array([ratio, *(self._default.spacing / self.length)])
 
 
@@ -93,9 +95,9 @@ class _Linear:
         solver.assemble(solver.mesh.nodes, elements.Stiffness(metric, elements.NO_SLOPE, bulk))
         return solver.band.copy()
 
-    def displacements(self, material: MaxwellLaw, share: float, loads: np.ndarray) -> np.ndarray:
-        """Axial displacements (S, n) of the skin nodes under axial forces (S, n) on them (N/rad),
-        the bulk tissue having `share` of its shear modulus."""
+    def flexibility(self, material: MaxwellLaw, share: float, loads: np.ndarray) -> np.ndarray:
+        """Work (n, n) of axial forces (S, n) on the skin nodes (N/rad) on each other's
+        displacements, the bulk tissue having `share` of its shear modulus."""
         shear, bulk = elastic_moduli(material, self._part)
         shear[self._cells[0]] = material.instantaneous_shear_modulus * share
         moduli = [
@@ -104,9 +106,12 @@ class _Linear:
         band = np.tensordot(np.array(moduli), self._bands, 1)
         elements.hold(band, self._fixed)
         factor, _ = dpbtrf(band.T, lower=1, overwrite_ab=1)
-        right = np.zeros((len(band), loads.shape[1]), order="F")
-        right[self._axial] = loads
-        return dpbtrs(factor, right, lower=1, overwrite_b=1)[0][self._axial]
+        # With K = L Lᵀ the work is that of L⁻¹ of the loads, which are at the numbering's end.
+        start = self._axial.min()
+        right = np.zeros((len(band) - start, loads.shape[1]))
+        right[self._axial - start] = loads
+        elements.substitute_forward(factor.T, start, right)
+        return right.T @ right
 
     def hertzian_load(self, radius: float) -> np.ndarray:
         """Forces (S,) on the skin nodes of a pressure √(1 − (r/radius)²), in all 1 N/rad."""

@@ -128,7 +128,9 @@ class Process:
         wanted = points[-1:], points[-1:], points, points[:1] + outputs, outputs
         if tuple(shapes.values()) != wanted or (len(points), len(outputs)) != (2, 1):
             raise ValueError(f"a Gaussian process has arrays of {shapes}")
-        self.arrays = arrays
+        # Column by column, so that several points are worked on at once.
+        columns = {key: np.asfortranarray(arrays[key]) for key in ("points", "weights")}
+        self.arrays = {**arrays, **columns}
 
     @classmethod
     def fit(cls, inputs: np.ndarray, outputs: np.ndarray, column: int) -> Process:
@@ -175,24 +177,22 @@ class Process:
         a = self.arrays
         found = np.tile(a["mean"], (len(inputs), 1))
         add = _add_outputs if len(inputs) < SIDE_BY_SIDE else _add_outputs_side_by_side
-        add((inputs - a["centre"]) / a["lengths"], a["points"], a["weights"], found)
+        add((inputs - a["centre"]) / a["lengths"], a["points"].T, a["weights"].T, found)
         return found
 
 
 def _rows_of_outputs(z, points, weights, out):
-    """out (n, o) += kernel of z (n, d) and points (m, d), times weights (m, o)."""
-    columns = points.T.copy()
+    """out (n, o) += kernel of z (n, d) and points (d, m), times weights (o, m)."""
     for row in prange(len(z)):
-        # Column by column, so that several points are worked on at once.
-        near = np.ones(len(points))
-        for column in range(z.shape[1]):
-            apart = z[row, column] - columns[column]
-            near += 0.5 * apart * apart
+        near = np.ones(points.shape[1])
+        for column in range(len(points)):
+            here, others = z[row, column], points[column]
+            for point in range(len(others)):
+                apart = here - others[point]
+                near[point] += 0.5 * apart * apart
         # Not by BLAS: its threads take longer to wake up than this takes.
-        for point in range(len(points)):
-            share = 1.0 / near[point]
-            for column in range(out.shape[1]):
-                out[row, column] += share * weights[point, column]
+        for column in range(len(weights)):
+            out[row, column] += np.sum(weights[column] / near)
 
 
 _add_outputs = njit(cache=True, nogil=True)(_rows_of_outputs)
