@@ -9,6 +9,7 @@ zero. Each k gives one force, area and indentation, by the flexibility of the sk
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
@@ -22,12 +23,15 @@ from .equilibrium import Equilibrium
 from .mesh import BULK, EPIDERMIS, NAIL, Mesh, finger_mesh, similar_mesh
 from .mesh_material import elastic_moduli
 
+PARTS = (BULK, EPIDERMIS, NAIL)
 FIRST = 3
 """Fewest nodes in contact."""
 PRESSED = 0.35
 """Radius of the pressure by which two meshes are compared, over the pad's radial semi-axis."""
 HERTZIAN_RINGS = 1000
 """Rings into which that pressure is divided among the nodes."""
+RECENT = 64
+"""Curves that a geometry keeps."""
 
 
 class LinearContact:
@@ -40,6 +44,9 @@ class LinearContact:
         self._single = np.eye(len(self._coarse.radius))
         meshes = self._coarse, self._default
         self._hertzian = [mesh.hertzian_load(PRESSED * self.length) for mesh in meshes]
+        # Sudden and slow curves do not depend on times, and sudden ones not on E∞: a fit that
+        # changes one parameter after the other asks for the same ones again.
+        self._curve = functools.lru_cache(maxsize=RECENT)(self._curve_of)
 
     def at(self, material: MaxwellLaw, share: float) -> tuple[np.ndarray, np.ndarray]:
         """Curve and meshes where the bulk tissue has the shear modulus G0 and the modulus E = E0,
@@ -50,9 +57,15 @@ class LinearContact:
         compliances to the pressure of Hertz over PRESSED; node spacing on the axis over L, along
         the skin and through it.
         """
-        mesh = self._coarse
-        flexibility = mesh.flexibility(material, share, self._single)
         scale = material.instantaneous_modulus * share * self.length**2
+        shear, bulk = elastic_moduli(material, np.array(PARTS))
+        shear[PARTS.index(BULK)] = material.instantaneous_shear_modulus * share
+        return self._curve((*shear.tolist(), *bulk.tolist()), scale)
+
+    def _curve_of(self, moduli: tuple[float, ...], scale: float) -> tuple[np.ndarray, np.ndarray]:
+        """What `at` gives, of shear and then bulk moduli (Pa) of PARTS, and of E L² (N)."""
+        mesh = self._coarse
+        flexibility = mesh.flexibility(moduli, self._single)
         rows = _rows(flexibility, mesh.gap)
         rows = rows[rows[:, 0] > 0.0]
         x = np.log(rows[:, 0] / scale) / 3.0
@@ -60,7 +73,7 @@ class LinearContact:
         rising = np.concatenate([[True], x[1:] > np.maximum.accumulate(x)[:-1]])
         curve = np.column_stack([x, area, np.log(rows[:, 1] / self.length)])[rising]
         coarse, default = self._hertzian
-        compliance = self._default.flexibility(material, share, default[:, None]).item()
+        compliance = self._default.flexibility(moduli, default[:, None]).item()
         ratio = math.log(compliance / (coarse @ flexibility @ coarse))
         return curve, np.array([ratio, *(self._default.spacing / self.length)])
 
@@ -70,11 +83,9 @@ class _Linear:
 
     def __init__(self, mesh: Mesh) -> None:
         solver = Equilibrium(mesh)
-        self._part = mesh.part
-        self._cells = [np.flatnonzero(mesh.part == part) for part in (BULK, EPIDERMIS, NAIL)]
         # The stiffness is a sum over shear and bulk modulus of each part.
         self._bands = np.array(
-            [self._band(solver, cells, shear) for cells in self._cells for shear in (True, False)]
+            [self._band(solver, mesh.part == p, shear) for shear in (True, False) for p in PARTS]
         )
         self._fixed = solver.fixed
         self._axial = solver.axial
@@ -95,14 +106,9 @@ class _Linear:
         solver.assemble(solver.mesh.nodes, elements.Stiffness(metric, elements.NO_SLOPE, bulk))
         return solver.band.copy()
 
-    def flexibility(self, material: MaxwellLaw, share: float, loads: np.ndarray) -> np.ndarray:
+    def flexibility(self, moduli: tuple[float, ...], loads: np.ndarray) -> np.ndarray:
         """Work (n, n) of axial forces (S, n) on the skin nodes (N/rad) on each other's
-        displacements, the bulk tissue having `share` of its shear modulus."""
-        shear, bulk = elastic_moduli(material, self._part)
-        shear[self._cells[0]] = material.instantaneous_shear_modulus * share
-        moduli = [
-            m[cells[0]] if len(cells) else 0.0 for cells in self._cells for m in (shear, bulk)
-        ]
+        displacements; moduli (6,): shear and then bulk moduli (Pa) of PARTS."""
         band = np.tensordot(np.array(moduli), self._bands, 1)
         elements.hold(band, self._fixed)
         factor, _ = dpbtrf(band.T, lower=1, overwrite_ab=1)
