@@ -3,6 +3,8 @@ PYTHON ?= python3
 ENV := .venv
 RUN := $(ENV)/bin/python
 export OMP_NUM_THREADS ?= 1
+# Containers often set it; then every process compiles the sources again.
+unexport PYTHONDONTWRITEBYTECODE
 # One worker more than cores: many tests wait for nodes, devices and browsers.
 WORKERS ?= $(shell echo $$(($$(nproc) + 1)))
 

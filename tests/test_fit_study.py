@@ -260,6 +260,7 @@ def recovery(module_of: Callable[[str], Any]) -> Any:
     return module_of("scripts/recovery.py")
 
 
+@pytest.mark.slow
 def test_without_noise_the_corrected_fit_finds_the_finger(recovery: Any) -> None:
     """Three presses of a finger on a finer mesh than the fit's, the reduced model corrected to full
     order.

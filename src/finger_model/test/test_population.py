@@ -388,6 +388,7 @@ def test_a_busy_machine_does_not_cut_training_runs_short(monkeypatch: pytest.Mon
     assert len(run(case, coarse=True).time) == len(case.time)
 
 
+@pytest.mark.slow
 def test_a_small_build_resumes(tmp_path: Path) -> None:
     settings = PopulationSettings(
         histories=50,

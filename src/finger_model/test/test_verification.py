@@ -15,6 +15,7 @@ from finger_model.verification import (
     solids,
     spheres,
 )
+from finger_model.verification.cases import reference
 from finger_model.verification.check import Measure
 
 
@@ -153,6 +154,20 @@ def test_pulled_sphere_within_2_percent_of_cattaneo_mindlin():
     holds(pulled_spheres.cattaneo_mindlin())
 
 
+def test_a_pull_begins_as_in_calculix():
+    table = {name: column[1:4] for name, column in reference("shear_mu0.5").items()}
+    points = solids.pulled(table["plate_shear_mm"] * 1e-3)
+    for name, column, limit in (
+        ("force", "normal_force_n", 0.02),
+        ("tangential_x", "tangential_force_n", 0.02),
+        ("area", "area_mm2", 0.03),
+    ):
+        found = [getattr(point, name) for point in points]
+        expected = table[column] * (1e-6 if name == "area" else 1.0)
+        assert found == pytest.approx(expected, rel=limit), name
+
+
+@pytest.mark.slow
 def test_pull_until_slip_within_2_percent_of_calculix():
     holds(solids.shear())
 

@@ -72,7 +72,7 @@ def axisymmetric() -> Check:
     )
 
 
-def _pulled(shifts: np.ndarray, stick_stiffness: float = math.inf) -> list[SolidPoint]:
+def pulled(shifts: np.ndarray, stick_stiffness: float = math.inf) -> list[SolidPoint]:
     """Points of a finger pressed to SHEAR_DEPTH whose plate then moves to shifts (n,) in m."""
     model = SolidModel(CALCULIX_FINGER, stick_stiffness=stick_stiffness)
     stepper = model.start(_dry(0.5))
@@ -88,8 +88,8 @@ def shear() -> Check:
     """A pressed finger whose plate moves sideways until it slips, against CalculiX."""
     table = reference("shear_mu0.5")
     shifts = table["plate_shear_mm"][1:] * 1e-3
-    points = _pulled(shifts)
-    soft = _of(_pulled(shifts, REFERENCE_STICK), "stick_ratio")
+    points = pulled(shifts)
+    soft = _of(pulled(shifts, REFERENCE_STICK), "stick_ratio")
     pull = {name: column[1:] for name, column in table.items()}
     along = _of(points, "tangential_x")
     stick = _of(points, "stick_ratio")
