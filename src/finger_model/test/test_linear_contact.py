@@ -25,7 +25,7 @@ MATERIAL = StandardLinearSolid(E0=60e3, E1=30e3, tau1=0.1, E2=1200e3, friction=0
 def test_it_is_the_full_order_at_small_strain(share: float, step: float) -> None:
     mesh = similar_mesh(GEOMETRY)
     full = FullOrderModel(GEOMETRY, mesh=mesh, elasticity="small-strain").start(MATERIAL)
-    curve = LinearContact(GEOMETRY).at(MATERIAL, share)[0]
+    curve = LinearContact(GEOMETRY).curves([MATERIAL], [share])[0]
     length = GEOMETRY.pad_semi_axis_radial
     for count, force in enumerate((0.2, 0.6, 1.2), start=1):
         point = full.step(count * step, force)
@@ -36,10 +36,10 @@ def test_it_is_the_full_order_at_small_strain(share: float, step: float) -> None
 
 
 def test_moduli_and_lengths_scale_out() -> None:
-    base = LinearContact(GEOMETRY).at(MATERIAL, 0.5)[0]
+    base = LinearContact(GEOMETRY).curves([MATERIAL], [0.5])[0]
     doubled = {name: 2.0 * value for name, value in GEOMETRY.to_dict().items()}
     stiff = replace(MATERIAL, E0=3 * 60e3, E1=3 * 30e3, E2=3 * 1200e3, nail_modulus=3 * 170e6)
-    found = LinearContact(Geometry(**doubled)).at(stiff, 0.5)[0]
+    found = LinearContact(Geometry(**doubled)).curves([stiff], [0.5])[0]
     np.testing.assert_allclose(found, base, rtol=1e-6)
 
 
@@ -51,14 +51,14 @@ def test_compliances_tell_meshes_apart_as_the_full_order_does() -> None:
             for mesh in (None, similar_mesh(geometry)):
                 full = FullOrderModel(geometry, mesh=mesh, elasticity="small-strain")
                 depths.append(full.start(MATERIAL).step(step, 0.3 * share).indentation)
-            ratios.append(LinearContact(geometry).at(MATERIAL, share)[1][0])
+            ratios.append(LinearContact(geometry).meshes([MATERIAL], [share])[0, 0])
     differences = -np.diff(np.log(depths).reshape(-1, 2))[:, 0]
     assert np.ptp(differences) > 0.01
     assert np.corrcoef(differences, ratios)[0, 1] > 0.95
 
 
 def test_spacings_are_those_of_the_default_mesh() -> None:
-    along, through = LinearContact(GEOMETRY).at(MATERIAL, 1.0)[1][1:]
+    along, through = LinearContact(GEOMETRY).meshes([MATERIAL], [1.0])[0, 1:]
     mesh = finger_mesh(GEOMETRY)
     skin = mesh.nodes[mesh.surface]
     length = GEOMETRY.pad_semi_axis_radial

@@ -170,8 +170,9 @@ def test_the_goals_hold_over_fingers_that_no_training_saw() -> None:
 
 def test_lengths_and_forces_scale_together() -> None:
     larger = Geometry(**{key: 1.3 * value for key, value in SLIM.to_dict().items()})
+    # The large weights of the Gaussian processes magnify rounding to about 1e-9.
     np.testing.assert_allclose(
-        areas(larger, SOFT, PRESS[0], 1.69 * PRESS[1]), 1.69 * areas(SLIM, SOFT), rtol=1e-9
+        areas(larger, SOFT, PRESS[0], 1.69 * PRESS[1]), 1.69 * areas(SLIM, SOFT), rtol=1e-8
     )
 
 

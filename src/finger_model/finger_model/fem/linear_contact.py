@@ -9,13 +9,12 @@ zero. Each k gives one force, area and indentation, by the flexibility of the sk
 
 from __future__ import annotations
 
-import functools
 import math
+from collections.abc import Sequence
 
 import numpy as np
-from scipy.linalg.lapack import dpbtrf
 
-from ..compiled import njit
+from ..compiled import njit, prange
 from ..geometry import Geometry
 from ..laws import UNIT, MaxwellLaw
 from . import elements
@@ -30,8 +29,8 @@ PRESSED = 0.35
 """Radius of the pressure by which two meshes are compared, over the pad's radial semi-axis."""
 HERTZIAN_RINGS = 1000
 """Rings into which that pressure is divided among the nodes."""
-RECENT = 64
-"""Curves that a geometry keeps."""
+SIDE_BY_SIDE = 4
+"""Factorisations from which on all cores work."""
 
 
 class LinearContact:
@@ -41,41 +40,59 @@ class LinearContact:
         self.length = geometry.pad_semi_axis_radial
         self._coarse = _Linear(similar_mesh(geometry))
         self._default = _Linear(finger_mesh(geometry))
-        self._single = np.eye(len(self._coarse.radius))
-        meshes = self._coarse, self._default
-        self._hertzian = [mesh.hertzian_load(PRESSED * self.length) for mesh in meshes]
-        # Sudden and slow curves do not depend on times, and sudden ones not on E∞: a fit that
-        # changes one parameter after the other asks for the same ones again.
-        self._curve = functools.lru_cache(maxsize=RECENT)(self._curve_of)
 
-    def at(self, material: MaxwellLaw, share: float) -> tuple[np.ndarray, np.ndarray]:
-        """Curve and meshes where the bulk tissue has the shear modulus G0 and the modulus E = E0,
-        each times `share`, and its full bulk modulus.
+    def curves(self, materials: Sequence[MaxwellLaw], shares: Sequence[float]) -> list[np.ndarray]:
+        """Curve for each of several materials and shares: the bulk tissue has the shear modulus G0
+        and the modulus E = E0, each times its share, and its full bulk modulus.
 
-        Curve: rows (n, 3) of rising load, ln x, ln(A/L²), ln(δ/L), x = (F/(E L²))^(1/3). Meshes
-        (3,), what tells the default mesh from `similar_mesh`: logarithm of the ratio of their
-        compliances to the pressure of Hertz over PRESSED; node spacing on the axis over L, along
-        the skin and through it.
+        Rows (r, 3) of rising load: ln x, ln(A/L²), ln(δ/L), x = (F/(E L²))^(1/3).
         """
-        scale = material.instantaneous_modulus * share * self.length**2
+        moduli, young, which = _different(materials, shares)
+        mesh = self._coarse
+        flexibility = mesh.flexibility(moduli, np.eye(len(mesh.radius)))
+        # The last node of the contact: not one of the first, nor the skin's last.
+        ends = slice(FIRST - 1, -1)
+        forces, depths = (v[:, ends] for v in _contacts(flexibility, mesh.gap))
+        areas = math.pi * (mesh.radius[ends] / self.length) ** 2
+        found = []
+        for scale, force, depth in zip(young * self.length**2, forces, depths):
+            reached = (force > 0.0) & (depth > 0.0)
+            x = np.log(force[reached] / scale) / 3.0
+            rising = np.concatenate([[True], x[1:] > np.maximum.accumulate(x)[:-1]])
+            columns = x, np.log(areas[reached]), np.log(depth[reached] / self.length)
+            found.append(np.column_stack(columns)[rising])
+        return [found[k] for k in which]
+
+    def meshes(self, materials: Sequence[MaxwellLaw], shares: Sequence[float]) -> np.ndarray:
+        """What tells the default mesh from `similar_mesh` (n, 3), for materials and shares (n,) as
+        of `curves`: logarithm of the ratio of their compliances to the pressure of Hertz over
+        PRESSED; node spacing on the axis over L, along the skin and through it."""
+        moduli, _, which = _different(materials, shares)
+        coarse, default = (
+            mesh.flexibility(moduli, mesh.hertzian_load(PRESSED * self.length)[:, None])
+            for mesh in (self._coarse, self._default)
+        )
+        ratio = np.log(default / coarse)[which, 0, 0]
+        spacing = np.tile(self._default.spacing / self.length, (len(ratio), 1))
+        return np.column_stack([ratio, spacing])
+
+
+def _different(
+    materials: Sequence[MaxwellLaw], shares: Sequence[float]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Shear and then bulk moduli of PARTS (m, 6) and modulus E (m,) of the bulk tissue, in Pa, that
+    differ, and which of them each material (n,) has, G0 and E being times its share.
+
+    They do not depend on times, nor those of sudden loads on E∞: a fit that changes one parameter
+    after the other asks for the same ones several times.
+    """
+    rows = []
+    for material, share in zip(materials, shares):
         shear, bulk = elastic_moduli(material, np.array(PARTS))
         shear[PARTS.index(BULK)] = material.instantaneous_shear_modulus * share
-        return self._curve((*shear.tolist(), *bulk.tolist()), scale)
-
-    def _curve_of(self, moduli: tuple[float, ...], scale: float) -> tuple[np.ndarray, np.ndarray]:
-        """What `at` gives, of shear and then bulk moduli (Pa) of PARTS, and of E L² (N)."""
-        mesh = self._coarse
-        flexibility = mesh.flexibility(moduli, self._single)
-        rows = _rows(flexibility, mesh.gap)
-        rows = rows[rows[:, 0] > 0.0]
-        x = np.log(rows[:, 0] / scale) / 3.0
-        area = np.log(math.pi * (mesh.radius[rows[:, 2].astype(int)] / self.length) ** 2)
-        rising = np.concatenate([[True], x[1:] > np.maximum.accumulate(x)[:-1]])
-        curve = np.column_stack([x, area, np.log(rows[:, 1] / self.length)])[rising]
-        coarse, default = self._hertzian
-        compliance = self._default.flexibility(moduli, default[:, None]).item()
-        ratio = math.log(compliance / (coarse @ flexibility @ coarse))
-        return curve, np.array([ratio, *(self._default.spacing / self.length)])
+        rows.append([*shear, *bulk, material.instantaneous_modulus * share])
+    different, which = np.unique(rows, axis=0, return_inverse=True)
+    return different[:, :-1], different[:, -1], which.ravel()
 
 
 class _Linear:
@@ -106,18 +123,13 @@ class _Linear:
         solver.assemble(solver.mesh.nodes, elements.Stiffness(metric, elements.NO_SLOPE, bulk))
         return solver.band.copy()
 
-    def flexibility(self, moduli: tuple[float, ...], loads: np.ndarray) -> np.ndarray:
-        """Work (n, n) of axial forces (S, n) on the skin nodes (N/rad) on each other's
-        displacements; moduli (6,): shear and then bulk moduli (Pa) of PARTS."""
-        band = np.tensordot(np.array(moduli), self._bands, 1)
-        elements.hold(band, self._fixed)
-        factor, _ = dpbtrf(band.T, lower=1, overwrite_ab=1)
-        # With K = L Lᵀ the work is that of L⁻¹ of the loads, which are at the numbering's end.
-        start = self._axial.min()
-        right = np.zeros((len(band) - start, loads.shape[1]))
-        right[self._axial - start] = loads
-        elements.substitute_forward(factor.T, start, right)
-        return right.T @ right
+    def flexibility(self, moduli: np.ndarray, loads: np.ndarray) -> np.ndarray:
+        """Work (n, k, k) of axial forces (S, k) on the skin nodes (N/rad) on each other's
+        displacements, for moduli (n, 6) of `_different`."""
+        found = np.empty((len(moduli), loads.shape[1], loads.shape[1]))
+        fill = _fill_flexibility if len(moduli) < SIDE_BY_SIDE else _fill_flexibility_side_by_side
+        fill(moduli, self._bands, self._fixed, self._axial, loads, found)
+        return found
 
     def hertzian_load(self, radius: float) -> np.ndarray:
         """Forces (S,) on the skin nodes of a pressure √(1 − (r/radius)²), in all 1 N/rad."""
@@ -131,19 +143,51 @@ class _Linear:
         return found / found.sum()
 
 
+def _flexibility_of_each(moduli, bands, fixed, axial, loads, found):
+    """found (n, k, k): work of loads (S, k) on each other's displacements, for moduli (n, 6) of
+    stiffnesses of bands (6, u, w)."""
+    for row in prange(len(moduli)):
+        band = moduli[row, 0] * bands[0]
+        for part in range(1, len(bands)):
+            band += moduli[row, part] * bands[part]
+        elements.hold(band, fixed)
+        factorize(band)
+        # With K = L Lᵀ the work is that of L⁻¹ of the loads, which are at the numbering's end.
+        start = axial.min()
+        right = np.zeros((len(band) - start, loads.shape[1]))
+        for node in range(len(axial)):
+            right[axial[node] - start] = loads[node]
+        elements.substitute_forward(band, start, right)
+        found[row] = right.T @ right
+
+
 @njit(cache=True, nogil=True)
-def _rows(flexibility, gap):
-    """Force (N), indentation (m) and last node (n, 3) of contacts that grow; 0 where none is."""
-    number = len(gap)
-    found = np.zeros((number - FIRST, 3))
-    for k in range(FIRST, number):
-        matrix = np.empty((k, k))
-        matrix[:, : k - 1] = flexibility[:k, : k - 1]
-        matrix[:, k - 1] = -1.0
-        solution = np.linalg.solve(matrix, -gap[:k])
-        force, depth = 2.0 * math.pi * solution[: k - 1].sum(), solution[k - 1]
-        if force > 0.0 and depth > 0.0:
-            found[k - FIRST, 0] = force
-            found[k - FIRST, 1] = depth
-            found[k - FIRST, 2] = k - 1
-    return found
+def factorize(band):
+    """L of K = L Lᵀ in place of K, both (u, w) by the diagonal and what is below it."""
+    number, width = band.shape
+    for column in range(number):
+        own = band[column]
+        own /= math.sqrt(own[0])
+        for below in range(1, min(width, number - column)):
+            row, factor = band[column + below], own[below]
+            for m in range(width - below):
+                row[m] -= factor * own[below + m]
+
+
+_fill_flexibility = njit(cache=True, nogil=True)(_flexibility_of_each)
+_fill_flexibility_side_by_side = njit(cache=True, nogil=True, parallel=True)(_flexibility_of_each)
+
+
+def _contacts(flexibility: np.ndarray, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Force (N) and indentation (m), each (n, S), of contacts that end at each node, where the
+    pressure is zero; flexibility (n, S, S), gap (S,).
+
+    F p = δ − gap on the nodes of a contact. With F = L Lᵀ and u, v the solutions of L u = 1 and
+    L v = gap, the pressure at the k-th node is zero where δ = v_k/u_k, and the first k of u and v
+    are those of the contact.
+    """
+    right = np.column_stack([np.ones(len(gap)), gap])
+    u, v = np.moveaxis(np.linalg.solve(np.linalg.cholesky(flexibility), right), -1, 0)
+    depth = v / u
+    pressed = np.tril(depth[..., None] * u[:, None, :] - v[:, None, :])
+    return 2.0 * math.pi * (pressed @ u[..., None])[..., 0], depth

@@ -240,7 +240,7 @@ class PopulationMaps(Maps):
         return self.fingers_like(
             np.array([context_of(geometry, material) for material in materials]),
             np.array([material.long_term_fraction for material in materials]),
-            LinearGuess.of_all([linear_guess(contact, material) for material in materials]),
+            linear_guess(contact, materials),
         )
 
     def fingers_like(

@@ -405,7 +405,7 @@ def run(
         np.array(internal).reshape(n, k),
         np.array(total).reshape(n, k),
         presses,
-        *linear_guess(LinearContact(geometry), material),
+        *(values[:, 0] for values in linear_guess(LinearContact(geometry), [material])),
         failed,
         case.kind,
         case.middle,

@@ -212,7 +212,11 @@ def _press_inputs(runs: list[Run]) -> tuple[np.ndarray, LinearGuess]:
     """Contexts (2, n, 11) and guess of the runs' presses."""
     context = np.array([run.context for run in runs])
     contexts = press_contexts(context, np.array([run.share for run in runs]))
-    return contexts, LinearGuess.of_all([LinearGuess(run.guess, run.meshes) for run in runs])
+    return contexts, _linear_guess(runs)
+
+
+def _linear_guess(runs: list[Run]) -> LinearGuess:
+    return LinearGuess(*(np.stack(v, 1) for v in zip(*((r.guess, r.meshes) for r in runs))))
 
 
 def fit_elastic(
@@ -394,8 +398,8 @@ def measured_error(arrays: dict[str, np.ndarray], runs: list[Run]) -> dict[str, 
             counted &= np.maximum.accumulate(run.force) <= MIDDLE_FORCE
         if counted.sum() < 3:
             continue
-        guess = LinearGuess.of_all([LinearGuess(run.guess, run.meshes)])
-        finger = maps.fingers_like(run.context[None], np.array([run.share]), guess)[0]
+        share = np.array([run.share])
+        finger = maps.fingers_like(run.context[None], share, _linear_guess([run]))[0]
         record = maps.parameters_of(run.length, run.scale, run.fractions, run.times, finger)
         record["force_limit"] = run.scale * run.share * LARGEST_LOAD[0] * 10.0
         found = np.empty((len(run.time), 3))

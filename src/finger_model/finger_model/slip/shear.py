@@ -49,10 +49,10 @@ def _table(geometry: Geometry, nail_ratio: float) -> np.ndarray:
     skin = Material().E2
     nail = float(np.clip(nail_ratio * skin, *NAIL_MODULUS_RANGE))
     found = []
-    for ratio in SKIN_RATIOS:
-        modulus = skin / ratio
-        material = Material(E0=modulus, E1=modulus, nail_modulus=nail)
-        _, area, depth = contact.at(material, 1.0)[0].T
+    materials = [Material(E0=m, E1=m, nail_modulus=nail) for m in skin / SKIN_RATIOS]
+    for material, curve in zip(materials, contact.curves(materials, [1.0] * len(materials))):
+        modulus = material.instantaneous_modulus
+        _, area, depth = curve.T
         radius = contact.length * np.sqrt(np.exp(area) / np.pi)
         stiffness = np.interp(radius, *shear.curve(material).T) / (modulus * contact.length)
         spread = SPREADING * (radius / contact.length) ** 2
