@@ -147,31 +147,52 @@ def _flexibility_of_each(moduli, bands, fixed, axial, loads, found):
     """found (n, k, k): work of loads (S, k) on each other's displacements, for moduli (n, 6) of
     stiffnesses of bands (6, u, w)."""
     for row in prange(len(moduli)):
-        band = moduli[row, 0] * bands[0]
-        for part in range(1, len(bands)):
-            band += moduli[row, part] * bands[part]
+        own = moduli[row]
+        band = (
+            own[0] * bands[0]
+            + own[1] * bands[1]
+            + own[2] * bands[2]
+            + own[3] * bands[3]
+            + own[4] * bands[4]
+            + own[5] * bands[5]
+        )
         elements.hold(band, fixed)
         factorize(band)
         # With K = L Lᵀ the work is that of L⁻¹ of the loads, which are at the numbering's end.
         start = axial.min()
-        right = np.zeros((len(band) - start, loads.shape[1]))
+        right = np.zeros((loads.shape[1], len(band) - start))
         for node in range(len(axial)):
-            right[axial[node] - start] = loads[node]
-        elements.substitute_forward(band, start, right)
-        found[row] = right.T @ right
+            right[:, axial[node] - start] = loads[node]
+        substitute(band[start:], right)
+        found[row] = right @ right.T
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=True)
 def factorize(band):
     """L of K = L Lᵀ in place of K, both (u, w) by the diagonal and what is below it."""
     number, width = band.shape
     for column in range(number):
         own = band[column]
-        own /= math.sqrt(own[0])
+        own *= 1.0 / math.sqrt(own[0])
         for below in range(1, min(width, number - column)):
-            row, factor = band[column + below], own[below]
-            for m in range(width - below):
-                row[m] -= factor * own[below + m]
+            row, under = band[column + below, : width - below], own[below:]
+            factor = under[0]
+            for k in range(len(under)):
+                row[k] -= factor * under[k]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def substitute(band, vectors):
+    """Solve L y = x in place for vectors x (k, u), L (u, w) as of `factorize`."""
+    number, width = band.shape
+    for column in range(number):
+        below = band[column, 1 : min(width, number - column)]
+        inverse = 1.0 / band[column, 0]
+        for vector in vectors:
+            vector[column] *= inverse
+            factor, rest = vector[column], vector[column + 1 :]
+            for k in range(len(below)):
+                rest[k] -= factor * below[k]
 
 
 _fill_flexibility = njit(cache=True, nogil=True)(_flexibility_of_each)
