@@ -29,7 +29,7 @@ SAFE = 0.15
 """Share of the normal force that any skin carries sideways."""
 
 LET_GO = 0.5
-"""s without a known slip after which an object counts as let go."""
+"""s of states without a known slip after which an object counts as let go."""
 
 STALE_AFTER = 0.05
 """s without a contact_slip after which the node repeats its force."""
@@ -80,6 +80,8 @@ class SlipGrip:
     _known: float = field(default=-math.inf, init=False)
     _kept: float = field(default=0.0, init=False)
     _tried: float = field(default=SAFE, init=False)
+    _ratio: float = field(default=SAFE, init=False)
+    _base: tuple[float, float] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         check_numbers(self, free=("force", "margin"))
@@ -97,32 +99,41 @@ class SlipGrip:
         friction_sd: float,
         probability: float,
         flags: int,
+        margin_sd: float = 0.0,
     ) -> float:
         """Force to grip with (N) after a ContactSlip.
 
         stamp: of its header (s); normal: P (N); slip_margin: which knows the zero of the lateral
-        force, as `tangential_force` does not; friction with its standard deviation; flags: bits of
-        SlipFlag. A margin or a probability that is not known (NaN) keeps the force.
+        force, as `tangential_force` does not; margin_sd: its standard deviation; friction with its
+        standard deviation; flags: bits of SlipFlag. A margin or a probability that is not known
+        (NaN) keeps the force. Where anything may be the margin (margin_sd 1, as in a contact in
+        which the driver or the model node began anew), what the load grows by is held in the ratio
+        that held before, and the force does not fall.
         """
-        if stamp < self._stamp:
+        before, self._stamp = self._stamp, stamp
+        if stamp < before:
             self._alarmed = -math.inf  # the clock went back
-        elapsed = min(max(stamp - self._stamp, 0.0), self.largest_step)
-        self._stamp = stamp
+        elapsed = min(max(stamp - before, 0.0), self.largest_step)
         if flags & SlipFlag.FORCE_INVALID or math.isnan(probability + slip_margin):
             return self.force
         if math.isnan(self.force):
             self.force = min(max(normal, self.smallest), self.largest)
-        if stamp - self._known > LET_GO:
-            self._kept, self._tried = 0.0, SAFE
+        if before - self._known > LET_GO:
+            self._kept, self._tried, self._ratio = 0.0, SAFE, SAFE
         self._known = stamp
-        guess = bool(flags & SlipFlag.FRICTION_ASSUMED)
+        guess, doubted = bool(flags & SlipFlag.FRICTION_ASSUMED), margin_sd >= 1.0
         # |Q|: the margin is the mean over all frictions that may be, whose spread makes it smaller.
         spread = 1.0 + (friction_sd / friction) ** 2
         load = (1.0 - slip_margin) * friction * normal / spread
         cautious = self.unsure if guess else self.cautious
         friction = max(friction - cautious * friction_sd, 0.05)
         wanted = load / ((1.0 - self.margin) * friction)
-        if guess:
+        if doubted:
+            self._base = self._base or (self.force, load)
+            wanted = self._base[0] + (load - self._base[1]) / self._ratio
+        else:
+            self._base, self._ratio = None, max(load / self.force, SAFE)
+        if guess and not doubted:
             if load > 0.9 * self._tried * normal:
                 self._tried *= 1.0 + self.explore * elapsed
             wanted = max(wanted, load / self._tried)
@@ -134,12 +145,13 @@ class SlipGrip:
                 self._alarmed, self._reflex = stamp, self.reflex * normal
             wanted = max(wanted, self._reflex)
         wanted = min(max(wanted, self.smallest), self.largest)
-        fall = self.fall if guess else 4.0 * self.fall
+        fall = 0.0 if doubted else self.fall if guess else 4.0 * self.fall
         change = min(max(wanted - self.force, -fall * elapsed), self.rise * elapsed)
         self.force += change
         # In slip the tangential force follows the grip, in a hold it does not: asking tells which.
         up = (stamp * self.dither_rate) % 1.0 < 0.5
-        ask = (self.dither if up else -self.dither) if guess else 0.0
+        down = 0.0 if doubted else -self.dither
+        ask = (self.dither if up else down) if guess else 0.0
         return min(max(self.force * (1.0 + ask), self.smallest), self.largest)
 
 
@@ -163,6 +175,7 @@ def hold(
     delay: float = 0.0,
     sensor: Callable[[float, list[float]], list[float]] | None = None,
     lifted: Callable[[float], float] = lambda time: 1.0,
+    silent: tuple[float, float] = (0.0, 0.0),
 ) -> Outcome:
     """Two fingers take an object of 50 g, which is filled to 350 g between 2 and 8 s.
 
@@ -172,7 +185,8 @@ def hold(
     closes 0.3 s before the controller begins. It follows its command within 30 ms, after a dead
     time of delay (s). The force has 5 mN of noise; sensor: what it gives of a force (3,) in N at a
     time (s). lifted: share of the weight that the fingers carry at a time (s): 0 where a table
-    does, above 1 where the object is accelerated upwards. A slide of 20 mm is a drop.
+    does, above 1 where the object is accelerated upwards. silent: from when until when (s) the
+    sensor gives nothing. A slide of 20 mm is a drop.
     """
     from finger_model.estimator import ContactEstimator
     from finger_model.finger import load_reduced
@@ -204,7 +218,8 @@ def hold(
         wrench = [carried + zero + noise[0], noise[1], -(force + noise[2])]
         if sensor is not None:
             wrench = sensor(time, wrench)
-        for estimate in contact.add_wrench(i * 2_000_000, wrench):
+        heard = not silent[0] <= time < silent[1]
+        for estimate in contact.add_wrench(i * 2_000_000, wrench) if heard else ():
             found = slip.add(estimate, wrench)
             if controller is not None and time > 0.0:
                 command = controller.on_slip(
@@ -215,6 +230,7 @@ def hold(
                     found.friction_stddev,
                     found.slip_probability,
                     found.flags,
+                    found.slip_margin_stddev,
                 )
         if time > 9.0:
             ratios.append(force * friction / load)
@@ -331,6 +347,7 @@ def run_node(arguments: list[str]) -> None:
             state.friction_stddev,
             state.slip_probability,
             state.flags,
+            state.slip_margin_stddev,
         )
         if not math.isnan(force):
             publisher.publish(Float64(data=force))

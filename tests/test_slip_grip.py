@@ -131,6 +131,22 @@ def test_a_load_that_swings_slides_little(example: Any) -> None:
     assert np.mean(slid) < 0.004, slid
 
 
+@pytest.mark.parametrize("friction", [0.25, 0.5, 1.0])
+@pytest.mark.parametrize("zero", [(-1.0, 0.0), (1.0, 0.0), (0.0, 1.6), (0.0, -0.5)])
+def test_a_force_driver_that_starts_again_untared_drops_nothing(
+    example: Any, friction: float, zero: tuple[float, float]
+) -> None:
+    """The margin may be anything then, also that of a load that is not there."""
+
+    def sensor(time: float, wrench: list[float]) -> list[float]:
+        shifted = [wrench[0] + zero[0], wrench[1], wrench[2] + zero[1]]
+        return shifted if time > 5.0 else wrench
+
+    grip = example.SlipGrip(force=2.0)
+    found = example.hold(grip, friction, sensor=sensor, silent=(5.0, 6.2))
+    assert not found.dropped and found.force_ratio < 2.5, found
+
+
 def test_the_node_holds_its_force_while_no_state_comes(
     ros_domain: int, process: Callable[..., Any], project_root: Path
 ) -> None:
