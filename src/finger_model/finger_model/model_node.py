@@ -396,6 +396,7 @@ class ModelNode(ManagedNode):
                     numbers = slip_numbers(slip, run.slip_and_shape.lateral_axes)
                     self._slip_publisher.publish(self._pack_slip((frame,), numbers))
                 if shape is not None:
+                    self._model_diagnostics.see_shape(shape)
                     plate = plate_frame(run.plate, frame)
                     packed = self._pack_shape((plate,), shape_numbers(shape))
                     self._shape_publisher.publish(packed)

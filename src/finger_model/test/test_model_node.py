@@ -121,11 +121,11 @@ class Bench(ModelNodePeer):
         request.transition.id = transition
         return self.call(ChangeState, "/finger/model/change_state", request).success
 
-    def press(self, stamp: int, normal: float) -> WrenchStamped:
+    def press(self, stamp: int, normal: float, torque: float = 0.0) -> WrenchStamped:
         message = WrenchStamped()
         message.header.stamp = to_time(stamp)
         message.header.frame_id = "sensor"
-        message.wrench.force.z = -normal
+        message.wrench.force.z, message.wrench.torque.x = -normal, torque
         self.wrench.publish(message)
         return message
 
@@ -400,10 +400,23 @@ def test_what_is_wrong_with_an_input_is_named_in_diagnostics(
         bench.press(T0 + 5 * n * MS, 1.0)
     bench.answered(400)
 
+    # A torque in N mm, and in N m: 2 mm beside the sensor's origin.
+    stamps = itertools.count(T0 + 2000 * MS, 5 * MS)
+
+    def told(torque: float) -> bool:
+        for _ in range(20):
+            bench.press(next(stamps), 1.0, torque)
+        wrong = "by its torque the force acts 2e+03 mm beside the contact's centre"
+        message = str(bench.diagnostics["inputs"]["message"])
+        return wrong in message and "publish the torque in N m about" in message
+
+    bench.until(lambda: told(2.0))
+    bench.until(lambda: not told(2e-3))
+
     # Another normal axis.
     assert bench.set("normal_axis", "+x").successful
-    for n in range(400, 1000):
-        bench.press(T0 + 5 * n * MS, 1.0)
+    for _ in range(600):
+        bench.press(next(stamps), 1.0)
     says("contact state", "a force of 1.00 N lies across normal_axis (+x), 0.00 N along it")
 
     other = rclpy.create_node("other_driver")

@@ -10,7 +10,7 @@ import json
 import math
 
 from finger_common.diagnostics import WARN, Health
-from finger_common.flags import StateFlag
+from finger_common.flags import ShapeFlag, StateFlag
 from finger_common.node import ManagedNode
 from finger_common.stamps import seconds
 from finger_common.units import LARGEST_FORCE
@@ -19,6 +19,7 @@ from ..estimator import EstimatorSettings
 from ..estimator.stream import LARGEST_AREA, LEAST_AREA
 from ..lateness import Lateness
 from ..model_run import Run
+from ..shape.estimate import ShapeEstimate
 
 _WARNINGS = {
     StateFlag.MOISTURE_MISSING: "no moisture reading yet, default parameters are in use",
@@ -45,7 +46,7 @@ def _beyond(force: float, limit: float) -> str:
     if force > limit:
         return (
             f"a force of {force:.3g} N is beyond the {limit:.2g} N that the reduced model was "
-            "built for: press less hard, or set reduced_model_file"
+            "built for: press less hard, or set reduced_model_file; is the wrench in N?"
         )
     return "the force is beyond what the tissue of these parameters carries: press less hard"
 
@@ -66,6 +67,10 @@ class ModelDiagnostics:
             "late_areas": Lateness("contact areas"),
             "late_moistures": Lateness("moisture readings"),
         }
+        self._shapes = self._outside = 0
+        """Shapes of contacts since the last `tell`, and those whose torque lies beside them."""
+        self._apart = math.nan
+        """m between the centres of contact and pressure of the newest of these."""
 
     def tell(self, run: Run, lengths: str) -> None:
         """Report on a run. lengths: where those of its finger come from."""
@@ -95,6 +100,7 @@ class ModelDiagnostics:
         for key, late in self.late.items():
             sentence = late.look()
             self.warn_while(bool(sentence), key, sentence)
+        self._tell_torque()
         found = run.estimator.mismatch()
         self.warn_while(
             bool(flags & StateFlag.MODEL_MISMATCH),
@@ -135,6 +141,30 @@ class ModelDiagnostics:
         if not sources:
             return f"nothing comes on {topic}, 0 publishers: check wrench_topic and namespace"
         return f"nothing comes on {topic} from {', '.join(sources)}: check that node and its sensor"
+
+    def see_shape(self, shape: ShapeEstimate) -> None:
+        """Follow whether the torque puts the force where the finger is."""
+        if shape.flags & ShapeFlag.NO_CONTACT:
+            return
+        self._shapes += 1
+        if shape.flags & ShapeFlag.PRESSURE_OUTSIDE:
+            self._outside += 1
+            apart = math.dist(shape.center_of_pressure, shape.center)
+            self._apart = apart if math.isfinite(apart) else self._apart
+
+    def _tell_torque(self) -> None:
+        """Report a torque that puts the force beside the finger in most shapes since the last time;
+        it stays told between two contacts."""
+        shapes, outside = self._shapes, self._outside
+        self._shapes = self._outside = 0
+        if shapes or not self._node.values["contact_shape"]:
+            self.warn_while(
+                2 * outside > shapes,
+                "torque",
+                f"by its torque the force acts {1e3 * self._apart:.3g} mm beside the contact's "
+                "centre, and contact_shape does not trust it: publish the torque in N m about the "
+                "sensor's origin, and check sensor_x, sensor_y, sensor_depth and wrench_on_finger",
+            )
 
     def see_area(self, area: float, sd: float, used: bool) -> None:
         """Report an area (m²) that cannot be used, by its deviation (m²) or by itself. used:
