@@ -586,6 +586,48 @@ def test_publishers_of_a_remapped_topic_are_counted(ros_domain: int) -> None:
         rclpy.shutdown(context=context)
 
 
+def test_a_publisher_of_another_type_is_named_until_it_is_gone(ros_domain: int) -> None:
+    """Nothing of it arrives, whatever the QoS, and the middleware says nothing."""
+    from geometry_msgs.msg import Wrench, WrenchStamped
+
+    from finger_common.diagnostics import Health
+    from finger_common.node import ManagedNode
+
+    # Of two processes: within one the middleware refuses the second type.
+    contexts = [rclpy.Context() for _ in range(2)]
+    for context in contexts:
+        rclpy.init(context=context, domain_id=ros_domain)
+    remapped = ["--ros-args", "-r", "wrench:=/wrist/wrench"]
+    node = ManagedNode(context=contexts[0], cli_args=remapped, namespace="/finger")
+    node.healths = [Health("node")]
+    node.create_subscription(WrenchStamped, "wrench", lambda message: None, 10)
+    robot = rclpy.create_node("robot", context=contexts[1])
+
+    def told() -> str:
+        node.publish_diagnostics()
+        return node.healths[0].report().message
+
+    try:
+        assert "published" not in told()
+        good = robot.create_publisher(WrenchStamped, "/wrist/wrench", 10)
+        wait_until(lambda: node.count_publishers("wrench") == 1, "the publisher")
+        assert "published" not in told()
+        robot.destroy_publisher(good)
+        other = robot.create_publisher(Wrench, "/wrist/wrench", 10)
+        says = (
+            "'/wrist/wrench' is published by /robot as geometry_msgs/msg/Wrench, and nothing of "
+            "that is received: publish geometry_msgs/msg/WrenchStamped"
+        )
+        wait_until(lambda: says in told(), "the warning")
+        robot.destroy_publisher(other)
+        wait_until(lambda: "published" not in told(), "its end")
+    finally:
+        robot.destroy_node()
+        node.destroy_node()
+        for context in contexts:
+            rclpy.shutdown(context=context)
+
+
 def test_a_simulated_time_that_does_not_begin_is_told_until_it_does(
     ros_domain: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

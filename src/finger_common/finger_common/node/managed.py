@@ -46,16 +46,13 @@ from .described import descriptor_of, ros_value, type_of
 from .heartbeat import HEARTBEAT, Heartbeats
 from .polling import PolledSubscription
 from .qos import AUTO, BEST_EFFORT, RELIABLE, stream_qos
-from .stream_watch import StreamWatch
+from .stream_watch import StreamWatch, publisher_name
 from .waiting import WaitedSubscription
 
 BEATS_PER_SECOND = round(1.0 / HEARTBEAT)
 
 HANGING = 2.5
 """s without a callback after which a node's heart stops: its diagnostics alone come each second."""
-
-UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
-"""Name that the middleware gives a publisher whose node it does not know."""
 
 QOS_OVERRIDES = "qos_overrides."
 OVERRIDABLE = (
@@ -386,13 +383,7 @@ class ManagedNode(LifecycleNode):
 
     def publishers_of(self, topic_name: str) -> list[str]:
         """Full names of the nodes that publish a topic, once for each publisher."""
-        found = self.get_publishers_info_by_topic(topic_name)
-        return [
-            "an unnamed node"  # whose participant is not known yet, or a program without ROS
-            if info.node_name == UNKNOWN_NODE
-            else f"{info.node_namespace.rstrip('/')}/{info.node_name}"
-            for info in found
-        ]
+        return [publisher_name(info) for info in self.get_publishers_info_by_topic(topic_name)]
 
     def count_publishers(self, topic_name: str) -> int:
         """Publishers of a topic by the name that it is remapped to, as a subscription has it;

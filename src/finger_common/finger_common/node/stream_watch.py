@@ -1,7 +1,8 @@
 # Copyright 2026 Finger contact maintainers
 # SPDX-License-Identifier: Apache-2.0
 
-"""What other nodes do to a node: QoS that does not fit, second publishers, a second of its name."""
+"""What other nodes do to a node: QoS and types that do not fit, second publishers, a second of its
+name."""
 
 from __future__ import annotations
 
@@ -24,8 +25,23 @@ REMEMBERED = 30.0
 """s for which the middleware may still show the publishers of a node that was killed, and after
 which messages that could not be read are no longer told."""
 
+OTHER_TYPE = "other_type"
+"""Fault of topics whose publishers send another type than the node reads."""
+
 PATIENCE = 10.0
 """s after which it is told that simulated time has not begun."""
+
+
+UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
+"""Name that the middleware gives a publisher whose node it does not know."""
+
+
+def publisher_name(info: Any) -> str:
+    """Full name of the node of a publisher, of what the middleware tells of it."""
+    if info.node_name == UNKNOWN_NODE:
+        # One whose participant is not known yet, or a program without ROS.
+        return "an unnamed node"
+    return f"{info.node_namespace.rstrip('/')}/{info.node_name}"
 
 
 class StreamWatch:
@@ -53,6 +69,7 @@ class StreamWatch:
         for polled in self.polled:
             self.check_mismatch(polled)
         self._report_mismatches()
+        self._report_other_types()
         self._report_namesake()
         self._report_second_publishers()
         self._report_mixed_inputs()
@@ -87,6 +104,24 @@ class StreamWatch:
                 f"node: {remedy}"
             )
         self._tell("qos_mismatch", "; ".join(texts), WARN)
+
+    def _report_other_types(self) -> None:
+        """Name publishers of another type than the node reads: the middleware connects none."""
+        types = dict(self._node.get_topic_names_and_types())
+        texts = set()
+        for subscription in self._node.subscriptions:
+            kind: Any = subscription.msg_type
+            topic = subscription.topic_name
+            read = f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
+            if not set(types.get(topic, ())) - {read}:
+                continue
+            for info in self._node.get_publishers_info_by_topic(topic):
+                if info.topic_type != read:
+                    texts.add(
+                        f"'{topic}' is published by {publisher_name(info)} as "
+                        f"{info.topic_type}, and nothing of that is received: publish {read}"
+                    )
+        self._tell(OTHER_TYPE, "; ".join(sorted(texts)), WARN)
 
     def _report_namesake(self) -> None:
         """Report another node of this name, which answers the same requests, by its heartbeat."""
