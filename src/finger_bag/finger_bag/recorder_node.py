@@ -30,10 +30,11 @@ from rclpy.qos import ReliabilityPolicy
 from finger_common.cli import plain
 from finger_common.diagnostics import ERROR, WARN, Health
 from finger_common.errors import FingerError, InputError, listed
-from finger_common.files import read_bytes
+from finger_common.files import read_bytes, user_path
 from finger_common.interface_text import message_text
 from finger_common.node import LATCHED_QOS, ManagedNode, PolledSubscription, main_of
 from finger_common.node.qos import RELIABLE
+from finger_common.node.stream_watch import OTHER_TYPE
 from finger_common.retry import Pauses
 from finger_common.settings import Settings, setting
 from finger_common.stamps import NANOSECONDS, seconds
@@ -128,7 +129,7 @@ def _attached(settings: RecordingSettings) -> dict[str, Path]:
     if settings.calibration_file:
         named.append((CALIBRATION_ATTACHMENT, settings.calibration_file))
     for name, file in named:
-        path = Path(file).expanduser()
+        path = user_path(file)
         if files.setdefault(name, path) != path:
             raise InputError(
                 f"parameters 'attachments' and 'calibration_file': {files[name]} and {path} would "
@@ -254,7 +255,7 @@ class RecorderNode(ManagedNode):
     def _may_be(self, bag: Path) -> bool:
         """Whether a bag is the one that this node is to record at its start, if one is named."""
         named = self.values["bag_name"] if self.values["record_at_start"] else ""
-        return not named or bag == (self._folder / Path(named).expanduser()).absolute()
+        return not named or bag == (self._folder / user_path(named)).absolute()
 
     # Subscriptions ---------------------------------------------------------------------------
 
@@ -403,6 +404,8 @@ class RecorderNode(ManagedNode):
         if not steady or any(counts[name] for name in came):
             return ""
         text = f"nothing came on {listed(streams, 3)}: "
+        if other_type := self._health.faults.get(OTHER_TYPE):
+            return text + other_type
         if any(map(self.count_publishers, streams)):
             return text + "they are published, but nothing is sent; activate their nodes"
         others = set()
@@ -504,7 +507,7 @@ class RecorderNode(ManagedNode):
                 session["target_force"] = f"{trial.target_force:g}"
         given = path or self.values["bag_name"]
         if given:
-            target = self._folder / Path(given).expanduser()
+            target = self._folder / user_path(given)
         else:
             target = self._free_name(self._folder, session)
         if any(unicodedata.category(c) in ("Cc", "Zl", "Zp") for c in str(target)):
@@ -579,7 +582,7 @@ class RecorderNode(ManagedNode):
     @property
     def _folder(self) -> Path:
         """Folder that bags without an absolute path go to now."""
-        return Path(self.values["folder"]).expanduser()
+        return user_path(self.values["folder"])
 
     @property
     def _marker_name(self) -> str:

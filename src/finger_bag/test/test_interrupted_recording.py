@@ -635,6 +635,25 @@ def test_a_bag_name_that_breaks_lines_is_refused_in_one_sentence(
     assert node._start("Prüfung 1, größer\u3000試験", None).is_dir()
 
 
+def test_a_home_folder_of_nobody_is_refused_and_the_recording_goes_on(node: Any) -> None:
+    from rclpy.parameter import Parameter
+
+    from finger_msgs.srv import Record
+
+    def asked(path: str) -> Any:
+        request = Record.Request(command=Record.Request.COMMAND_START, path=path)
+        return node._on_record(request, Record.Response())
+
+    says = "'~nobody-here' is no home folder here; give the whole path"
+    answer = asked("~nobody-here/bag")
+    assert not answer.success and answer.message.endswith(says)
+    assert node._recorder.recording
+    node._finish()
+    assert node.set_parameters([Parameter("folder", value="~nobody-here")])[0].successful
+    answer = asked("bag")
+    assert not answer.success and answer.message.endswith(says)
+
+
 def test_a_recording_that_is_stopped_at_once_is_not_called_empty(
     node: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -859,6 +878,9 @@ def test_a_recording_to_which_nothing_comes_names_where_there_are_streams(
 
     with running_node(ros_domain, tmp_path, monkeypatch) as node:
         assert "nothing came on /wrench, " in said() and "start the rig" in said()
+        node.healths[0].fault("other_type", "'/wrench' is published as another type", 1)
+        assert "nothing came on /wrench, " in said() and said().endswith("another type")
+        node.healths[0].recovered("other_type")
         rig = rclpy.create_node("rig", context=node.context)
         for finger in ("thumb", "index"):
             rig.create_publisher(WrenchStamped, f"/hand/{finger}/wrench", 10)

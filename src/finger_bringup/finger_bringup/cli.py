@@ -19,6 +19,7 @@ from finger_bridge import lsl
 from finger_bridge.foxglove_server import DEFAULT_PORT, require
 from finger_common.cli import EXIT_INTERRUPTED, Parser, run
 from finger_common.errors import InputError
+from finger_common.files import user_path
 from finger_common.folder_lock import lock_folder
 from finger_common.guided_presses import CALIBRATION_PRESSES
 from finger_common.namespaces import DEFAULT_NAMESPACE, default_folder
@@ -295,7 +296,7 @@ def namespace_of(arguments: argparse.Namespace) -> str:
 def folder_of(arguments: argparse.Namespace) -> Path:
     """Absolute folder of the rig."""
     folder: Path = arguments.folder or default_folder(namespace_of(arguments))
-    return folder.expanduser().absolute()
+    return user_path(folder).absolute()
 
 
 def _warn(chosen: Sequence[nodes.NodeEntry], namespace: str, file: ParameterFile) -> None:

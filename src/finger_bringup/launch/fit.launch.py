@@ -15,11 +15,12 @@ from launch.actions import OpaqueFunction
 from finger_bringup import nodes
 from finger_bringup.launch.actions import arguments, node_actions, path, value
 from finger_common.errors import InputError
+from finger_common.files import user_path
 
 
 def fit(context: LaunchContext) -> list[Action]:
     """Actions by the arguments given."""
-    bags = [str(Path(bag).expanduser().absolute()) for bag in value(context, "bags").split()]
+    bags = [str(user_path(bag).absolute()) for bag in value(context, "bags").split()]
     for bag in bags:
         if not Path(bag).exists():
             raise InputError(f"bags:={bag}: no such bag or folder; correct the path")

@@ -28,11 +28,12 @@ from finger_bringup.launch.actions import arguments, node_actions, truth, value
 from finger_bringup.replay import replay_of
 from finger_common.entry import command_of
 from finger_common.errors import InputError
+from finger_common.files import user_path
 
 
 def replay(context: LaunchContext) -> list[Action]:
     """Actions by the arguments given."""
-    bag = Path(value(context, "bag")).expanduser()
+    bag = user_path(value(context, "bag"))
     if not value(context, "bag") or not bag.exists():
         raise InputError(f"bag:={bag}: no such bag; give the folder or file of a recorded bag")
     chosen = replay_of(bag, truth(context, "vision") if value(context, "vision") else None)

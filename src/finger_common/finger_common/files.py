@@ -168,6 +168,17 @@ def check_outputs(
         written[real] = output
 
 
+def user_path(path: str | Path) -> Path:
+    """A path that a user gave, with the home folder for ~; raises InputError where there is none,
+    as of a user who does not exist."""
+    try:
+        return Path(path).expanduser()
+    except RuntimeError:
+        raise InputError(
+            f"{path}: '{Path(path).parts[0]}' is no home folder here; give the whole path"
+        ) from None
+
+
 def exists(path: str | Path) -> bool:
     """Whether there is such a file or folder; False also for what cannot be a name of one."""
     try:

@@ -24,6 +24,7 @@ from rclpy.task import Future
 from finger_common.cli import one_line
 from finger_common.diagnostics import WARN, Health
 from finger_common.errors import FingerError, InputError
+from finger_common.files import user_path
 from finger_common.node import ManagedNode, main_of
 from finger_common.parameter_values import parameter_values
 from finger_common.settings import Settings, setting
@@ -55,10 +56,11 @@ def checked_options(goal: Any) -> FitOptions:
     """Options of a FitParameters goal; raises InputError for what no fit could be made of."""
     if not goal.output:
         raise InputError("goal: 'output' is empty; name the folder to write to")
+    user_path(goal.output)
     if not goal.bags:
         raise InputError("goal: 'bags' is empty; name the bags to fit")
     for bag in goal.bags:
-        if not Path(bag).expanduser().exists():
+        if not user_path(bag).exists():
             raise InputError(f"goal: 'bags': {bag}: no such bag or folder; correct the path")
     if not goal.fit_options:
         return FitOptions.from_json(goal.options, "goal: 'options'")
@@ -84,8 +86,8 @@ class _Job:
         self.answered = Future()
         self.reason = ""
         self.stopped_at = math.inf
-        self.bags = [str(Path(bag).expanduser()) for bag in goal.bags]
-        self.output = Path(goal.output).expanduser()
+        self.bags = [str(user_path(bag)) for bag in goal.bags]
+        self.output = user_path(goal.output)
         self.stage = "load"
         self._goal = goal
         self._settings = settings

@@ -131,6 +131,8 @@ def test_goal_gives_feedback_and_the_parameter_file_and_cancel_keeps_the_best(
         ({"bags": bags, "output": str(tmp_path / "x"), "options": {"round": 1}}, "'round'"),
         ({"bags": bags, "output": str(tmp_path / "x"), "text": '{"grid": 1}'}, "'grid'"),
         ({"bags": bags, "output": ""}, "'output' is empty"),
+        ({"bags": bags, "output": "~nobody-here"}, "'~nobody-here' is no home folder here"),
+        ({"bags": ["~nobody-there/x"], "output": "x"}, "'~nobody-there' is no home folder here"),
     ):
         assert not send(**fields).accepted
         wait(lambda words=words: words in child.output.read_text())

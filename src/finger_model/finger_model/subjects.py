@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 
 from finger_common.errors import InputError, listed
+from finger_common.files import user_path
 from finger_common.subject_code import FINGER_NAMES, may_be_one, parameter_file_name
 
 from .parameter_sets import ParameterSets
@@ -20,7 +21,7 @@ from .parameter_sets import ParameterSets
 def subject_file(folder: str | Path, subject: str, finger: str = "") -> Path:
     """Where the parameters of a subject's finger are; raises InputError for a code that is no file
     name."""
-    return Path(folder).expanduser() / parameter_file_name(subject, finger)
+    return user_path(folder) / parameter_file_name(subject, finger)
 
 
 def find_subject(folder: str | Path, subject: str, finger: str = "") -> tuple[Path | None, str]:
@@ -53,7 +54,7 @@ def check_folder(folder: str | Path) -> None:
     """Make the folder of the subjects' parameters if need be; raises InputError where nothing can
     be written into it.
     """
-    path = Path(folder).expanduser()
+    path = user_path(folder)
     try:
         path.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=path).close()

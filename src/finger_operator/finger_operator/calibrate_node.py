@@ -12,7 +12,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -22,6 +21,7 @@ from std_srvs.srv import Trigger
 
 from finger_common.diagnostics import ERROR, Health
 from finger_common.errors import FingerError, InputError
+from finger_common.files import user_path
 from finger_common.flags import AreaFlag
 from finger_common.guided_presses import is_fitting
 from finger_common.node import (
@@ -241,7 +241,7 @@ class CalibrateNode(ManagedNode):
             raise InputError(
                 "the model node has no 'subjects_folder' to keep the result in; set it"
             )
-        path = Path(folder).expanduser() / parameter_file_name(subject, self._settings.finger)
+        path = user_path(folder) / parameter_file_name(subject, self._settings.finger)
         if path.exists() and not self._settings.again:
             raise InputError(
                 f"subject {subject} is calibrated already ({path}); give --again to replace that"

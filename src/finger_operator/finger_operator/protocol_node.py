@@ -14,7 +14,6 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import rclpy
@@ -37,7 +36,7 @@ from finger_common.diagnostics import (
     status_node,
 )
 from finger_common.errors import FingerError, InputError, listed
-from finger_common.files import atomic_write, read_text
+from finger_common.files import atomic_write, read_text, user_path
 from finger_common.folder_lock import lock_folder
 from finger_common.node import (
     LATCHED_QOS,
@@ -182,7 +181,7 @@ class ProtocolNode(ManagedNode):
         namespace = self.get_namespace()
         self._watched = {full_node_name(name, namespace): name for name in settings.watched}
         parse_preparations(settings.preparations)
-        self._output = Path(settings.output).expanduser().resolve()
+        self._output = user_path(settings.output).resolve()
         self.closing.enter_context(lock_folder(self._output, "a protocol node"))
         self._read_sessions()
         self._free: int | None = None

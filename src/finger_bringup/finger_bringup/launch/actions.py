@@ -30,6 +30,7 @@ from finger_bringup import nodes
 from finger_bringup.parameter_files import ParameterFile, write_parameter_file
 from finger_bringup.restarts import RestartDelay
 from finger_common.errors import InputError
+from finger_common.files import user_path
 from finger_common.namespaces import DEFAULT_NAMESPACE
 
 COMMON = {
@@ -78,7 +79,7 @@ def composed(context: LaunchContext) -> bool:
 
 def path(context: LaunchContext, name: str) -> Path:
     """Absolute path that an argument names."""
-    return Path(value(context, name)).expanduser().absolute()
+    return user_path(value(context, name)).absolute()
 
 
 def node_actions(
