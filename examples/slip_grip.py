@@ -112,7 +112,8 @@ class SlipGrip:
         """
         before, self._stamp = self._stamp, stamp
         if stamp < before:
-            self._alarmed = -math.inf  # the clock went back
+            # The clock went back.
+            self._alarmed, self._known = -math.inf, min(self._known, stamp)
         elapsed = min(max(stamp - before, 0.0), self.largest_step)
         if flags & SlipFlag.FORCE_INVALID or math.isnan(probability + slip_margin):
             return self.force
@@ -176,6 +177,7 @@ def hold(
     sensor: Callable[[float, list[float]], list[float]] | None = None,
     lifted: Callable[[float], float] = lambda time: 1.0,
     silent: tuple[float, float] = (0.0, 0.0),
+    rate: float = 500.0,
 ) -> Outcome:
     """Two fingers take an object of 50 g, which is filled to 350 g between 2 and 8 s.
 
@@ -186,7 +188,8 @@ def hold(
     time of delay (s). The force has 5 mN of noise; sensor: what it gives of a force (3,) in N at a
     time (s). lifted: share of the weight that the fingers carry at a time (s): 0 where a table
     does, above 1 where the object is accelerated upwards. silent: from when until when (s) the
-    sensor gives nothing. A slide of 20 mm is a drop.
+    sensor gives nothing; rate: of its samples (Hz, 500 or a whole part of it). A slide of 20 mm is
+    a drop.
     """
     from finger_model.estimator import ContactEstimator
     from finger_model.finger import load_reduced
@@ -218,7 +221,7 @@ def hold(
         wrench = [carried + zero + noise[0], noise[1], -(force + noise[2])]
         if sensor is not None:
             wrench = sensor(time, wrench)
-        heard = not silent[0] <= time < silent[1]
+        heard = not silent[0] <= time < silent[1] and i % round(500.0 / rate) == 0
         for estimate in contact.add_wrench(i * 2_000_000, wrench) if heard else ():
             found = slip.add(estimate, wrench)
             if controller is not None and time > 0.0:
@@ -293,6 +296,13 @@ def simulate_loads() -> None:
             for seed in range(3)
         ]
         told(f"a swing of 30 %, {rate:g} a second", grips)
+    for rate in (100.0, 50.0, 25.0):
+        grips = [
+            hold(SlipGrip(force=2.0), friction, seed, rate=rate)
+            for friction in (0.25, 0.35, 0.5, 0.7, 1.0)
+            for seed in range(3)
+        ]
+        told(f"{rate:g} samples a second", grips)
     for delay in (0.02, 0.03, 0.05):
         grips = [hold(SlipGrip(force=2.0), 0.25, seed, delay=delay) for seed in range(4)]
         told(f"friction 0.25, dead time {1e3 * delay:g} ms", grips)

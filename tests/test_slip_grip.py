@@ -131,6 +131,13 @@ def test_a_load_that_swings_slides_little(example: Any) -> None:
     assert np.mean(slid) < 0.004, slid
 
 
+@pytest.mark.parametrize("rate, slid", [(100.0, 0.003), (50.0, 0.02)])
+def test_a_slow_sensor_is_enough(example: Any, rate: float, slid: float) -> None:
+    for friction in (0.25, 0.5):
+        found = example.hold(example.SlipGrip(force=2.0), friction, rate=rate)
+        assert not found.dropped and found.slid < slid, found
+
+
 @pytest.mark.parametrize("friction", [0.25, 0.5, 1.0])
 @pytest.mark.parametrize("zero", [(-1.0, 0.0), (1.0, 0.0), (0.0, 1.6), (0.0, -0.5)])
 def test_a_force_driver_that_starts_again_untared_drops_nothing(
