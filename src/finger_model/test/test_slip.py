@@ -939,6 +939,37 @@ def test_a_lateral_force_that_changed_in_the_air_is_no_sure_zero():
     assert np.all(error < 3.0 * rows["friction_stddev"][pulled])
 
 
+@pytest.mark.parametrize("offset", [0.1, 0.5, 5.0])
+@pytest.mark.parametrize("after", [0.1, 0.6, 2.0])
+def test_a_tare_before_a_press_gives_the_new_zero(offset, after):
+    """As a robot does that starts, tares and grips. Without a pull no slip is announced."""
+    time = np.arange(0.0, 6.0 + after, 1.0 / RATE)
+    touch = 4.0 + after
+    normal = np.interp(time, [touch, touch + 0.3], [0.0, 1.0])
+    noise = np.random.default_rng(3).normal(0.0, 0.005, len(time))
+    settings = SlipSettings(tangential_noise=0.005)
+    rows = run(SlipEstimator(settings), normal, np.where(time < 4.0, offset, 0.0) + noise)
+    pressed = rows[time > touch + 0.4]
+    if after < 0.5:  # the zero is not known yet
+        assert pressed["slip_margin_stddev"].min() > 0.1
+        return
+    assert pressed["slip_margin"] == pytest.approx(1.0, abs=0.05)
+    assert pressed["slip_margin_stddev"].max() < 0.1
+    assert pressed["slip_probability"].max() < 0.05
+
+
+def test_a_gripper_that_moves_until_it_touches_has_no_sure_zero():
+    """It begins to turn after a rest: the first change alone is a step, as of a tare."""
+    for begin in np.arange(3.0, 3.5, 0.05):
+        time = np.arange(0.0, 6.0, 1.0 / RATE)
+        normal = np.interp(time, [4.0, 4.3], [0.0, 1.0])
+        weight = np.interp(time, [begin, 4.0], [0.0, 1.0])
+        rows = run(SlipEstimator(SlipSettings()), normal, weight)
+        pressed = rows[time > 4.4]
+        assert (pressed["flags"] & SlipFlag.FRICTION_ASSUMED).all()
+        assert pressed["slip_margin_stddev"].min() > 0.2, begin
+
+
 def test_what_a_finger_leaves_at_lift_off_is_no_zero():
     """It still rubs for 60 ms when its normal force is too small to count."""
     _, normal, lateral, _ = slipping(2, 0.5)

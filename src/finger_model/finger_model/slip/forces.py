@@ -32,6 +32,11 @@ LEAST_ROUGH = 10.0
 CLEAR_ZERO = 3.0
 """Mean over scatter of the blocks from which the mean is taken off."""
 
+TARED, TARED_SCATTERS = 0.05, 6.0
+"""N, and scatters of the blocks, by which a block lies beside their mean from which the sensor was
+tared, or moved at once: the zero is another one. A gripper that goes on to move makes the blocks
+after it scatter; one that swings has scattered before."""
+
 TRACK = np.dtype([("value", "f8", (3,)), ("rate", "f8", (3,))])
 """P, Qx, Qy."""
 AIR = np.dtype(
@@ -42,6 +47,7 @@ AIR = np.dtype(
         ("blocks", "f8"),  # so far
         ("mean", "f8", (2,)),  # N, of the blocks
         ("variance", "f8"),  # N², of a block
+        ("jump", "f8"),  # N, to another zero that is not known yet
         ("rough_samples", "f8"),
         ("rough_variance", "f8"),  # N², of a sample
     ]
@@ -153,7 +159,7 @@ def leave(forces, stamp):
 def forget_air(forces):
     """The sensor may have another zero from now on."""
     air = forces.air
-    air.blocks = air.rough_samples = air.rough_variance = air.variance = 0.0
+    air.blocks = air.rough_samples = air.rough_variance = air.variance = air.jump = 0.0
     air.mean[:] = 0.0
 
 
@@ -183,12 +189,16 @@ def see_air(forces, noise, stamp, dt, q0, q1):
     air.samples += 1.0
     if (stamp - air.begin) * 1e-9 < BLOCK:
         return
-    air.blocks = min(air.blocks + 1.0, BLOCKS)
-    share = 1.0 / air.blocks
     d0, d1 = air.sum[0] / air.samples - air.mean[0], air.sum[1] / air.samples - air.mean[1]
-    air.mean[0] += share * d0
-    air.mean[1] += share * d1
-    air.variance = (1.0 - share) * (air.variance + share * (d0 * d0 + d1 * d1))
+    jump = math.hypot(d0, d1)
+    if air.blocks >= BLOCKS and jump > max(TARED, TARED_SCATTERS * math.sqrt(air.variance)):
+        air.blocks, air.jump = 0.0, jump  # this block may be of both
+    else:
+        air.blocks = min(air.blocks + 1.0, BLOCKS)
+        share = 1.0 / air.blocks
+        air.mean[0] += share * d0
+        air.mean[1] += share * d1
+        air.variance = (1.0 - share) * (air.variance + share * jump * jump)
     air.begin = stamp
     air.sum[:] = 0.0
     air.samples = 0.0
@@ -199,7 +209,7 @@ def set_zero(forces):
     """Let the zero of the contact that begins be what the air told."""
     air = forces.air
     forces.zero[:] = 0.0
-    forces.zero_error = 0.0
+    forces.zero_error = air.jump
     if air.blocks >= LEAST_BLOCKS:
         scatter, mean = math.sqrt(air.variance), math.hypot(air.mean[0], air.mean[1])
         if mean > CLEAR_ZERO * scatter:
