@@ -79,6 +79,14 @@ def test_dates_three_axes_tare_and_a_clock_that_differs(tmp_path: Path) -> None:
     assert load_start(tmp_path / "bag") == 1_714_557_600_000_000_000
 
 
+@pytest.mark.parametrize("start", ["2024-05-01T10:00:00Z", "2024-05-01T12:00:00+0200"])
+def test_the_start_is_read_with_its_difference_from_utc(
+    files: dict[str, str], tmp_path: Path, start: str
+) -> None:
+    import_trial(ImportSettings(**files, start=start), tmp_path / "bag")
+    assert load_start(tmp_path / "bag") == 1_714_557_600_000_000_000
+
+
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [

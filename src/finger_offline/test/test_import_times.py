@@ -239,3 +239,9 @@ def test_a_print_that_stays_on_the_plate_is_no_wrong_clock(tmp_path: Path) -> No
 def test_times_of_any_number_of_decimals_are_read_by_every_python() -> None:
     assert stamp_of("2024-05-01T13:45:10.25Z") == 1_714_571_110_250_000_000
     assert stamp_of("01.05.2024 13:45:10,5") == 1_714_571_110_500_000_000
+
+
+@pytest.mark.parametrize("zone", ["+02:00", "+0200", "+02"])
+def test_a_difference_from_utc_is_read_with_and_without_its_colon(zone: str) -> None:
+    assert stamp_of(f"2024-05-01 15:45:10.25{zone}") == 1_714_571_110_250_000_000
+    assert stamp_of(f"2024-05-01T15:45{zone}") == 1_714_571_100_000_000_000

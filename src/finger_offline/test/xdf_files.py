@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-HEADER = b"<?xml version='1.0'?><info><datetime>2026-11-22T12:00:00+0000</datetime></info>"
+HEADER = b"<?xml version='1.0'?><info><datetime>2026-11-22T14:00:00+0200</datetime></info>"
 
 
 def chunk(tag: int, content: bytes) -> bytes:

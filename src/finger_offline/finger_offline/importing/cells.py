@@ -40,6 +40,9 @@ _NOON = re.compile(r"\s*([ap])\.?m\.?", re.IGNORECASE)
 _ZONES = {"UTC": "+00:00", "GMT": "+00:00", "CET": "+01:00", "CEST": "+02:00"}
 """Names of time zones with one meaning."""
 
+_ZONE = re.compile(r"(:\d\d(?:\.\d+)?[+-]\d\d)(\d\d)?$")
+"""A time with a difference from UTC that has no colon."""
+
 _DAY_FIRST = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})(?=\D|$)")
 _YEAR_FIRST = re.compile(r"(\d{4})[-/](\d{1,2})[-/](\d{1,2})(?=\D|$)")
 
@@ -195,6 +198,17 @@ def stamp_of(cell: Any, style: TimeStyle | None = None) -> int:
     return (since.days * 86400 + since.seconds) * NANOSECONDS + since.microseconds * 1000
 
 
+def from_iso(text: str) -> datetime:
+    """A date with time in ISO 8601, read alike by every Python; ValueError for what is none.
+
+    Python 3.10 itself takes six decimals only, and a difference from UTC with a colon only.
+    """
+    text = re.sub(r"\.(\d{1,6})\d*", lambda m: "." + m[1].ljust(6, "0"), text)
+    text = re.sub(r"[zZ]$", "+00:00", text)
+    text = _ZONE.sub(lambda m: f"{m[1]}:{m[2] or '00'}", text)
+    return datetime.fromisoformat(text)
+
+
 def _datetime_of(text: str, style: TimeStyle) -> datetime:
     if style.minutes and text.count(":") == 1:
         minutes, seconds = text.split(":")
@@ -224,10 +238,7 @@ def _datetime_of(text: str, style: TimeStyle) -> datetime:
                 f"names the time zone '{zone[1]}'; give it as a difference from UTC, as in +02:00"
             )
         text = text[: zone.start()] + _ZONES[zone[1].upper()]
-    # As Python 3.10 takes them, too: six decimals, no letter for UTC.
-    text = re.sub(r"\.(\d{1,6})\d*", lambda m: "." + m[1].ljust(6, "0"), text)
-    text = re.sub(r"[zZ]$", "+00:00", text)
-    found = datetime.fromisoformat(text if "-" in text[:5] else f"1970-01-01T{text}")
+    found = from_iso(text if "-" in text[:5] else f"1970-01-01T{text}")
     if afternoon is None:
         return found
     if not 1 <= found.hour <= 12:

@@ -10,7 +10,7 @@ import heapq
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from datetime import datetime, timezone
+from datetime import timezone
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +37,7 @@ from ..lag import MAXIMUM_LAG, indentation_lag, lag_text
 from ..trial_checks import PLAUSIBLE_AREA, lone_areas
 from ..trial_split import TrialSettings
 from ..unloaded import pressed_force, reached_force
+from .cells import from_iso
 from .force import Force, check_tare, presses_in, read_force, unloaded
 from .pictures import Frame, frames_of
 from .series import (
@@ -450,7 +451,7 @@ class _Recording:
 
 def _start(text: str) -> int:
     try:
-        at = datetime.fromisoformat(text)
+        at = from_iso(text)
     except ValueError:
         raise InputError(
             f"--start '{text[:40]}' is no date and time; give it as 2024-05-01T13:45:00"

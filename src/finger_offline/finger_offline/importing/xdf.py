@@ -11,7 +11,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from finger_common.errors import InputError, known_names
 from finger_common.files import bounded_memory
 from finger_common.stamps import NANOSECONDS
 
+from .cells import from_iso
 from .table import Table, numbered
 
 NEEDS = "reading XDF files needs the package pyxdf: pip install pyxdf"
@@ -199,7 +199,7 @@ def _clock_error(data: dict[str, Any]) -> float:
 
 def _begun(header: dict[str, Any]) -> int | None:
     try:
-        began = datetime.fromisoformat(header["info"]["datetime"][0].replace("+0000", "+00:00"))
+        began = from_iso(header["info"]["datetime"][0])
     except (KeyError, TypeError, IndexError, ValueError):
         return None
     return round(began.timestamp() * NANOSECONDS)
