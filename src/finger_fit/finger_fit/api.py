@@ -16,8 +16,10 @@ Everything is in SI: s, N, m², Pa.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -363,7 +365,7 @@ def _code(value: Any, name: str) -> str:
 
 
 def _scalar(value: Any, name: str) -> Any:
-    if isinstance(value, (bool, str)) or not np.isscalar(value) or not np.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
         raise InputError(f"{name} is {value!r}; give a number")
     return value
 

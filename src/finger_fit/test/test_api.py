@@ -465,6 +465,7 @@ def test_times_in_milliseconds_are_refused_at_every_rate(rate: float, duration: 
         ({"moisture": "wet"}, "moisture holds something else than numbers"),
         ({"target_force": 30.0}, r"target_force is 30 N, the press goes up to 1 N"),
         ({"target_force": "1 N"}, "target_force is '1 N'; give a number"),
+        ({"target_force": 1j}, "target_force is 1j; give a number"),
         ({"index": "first"}, "index is 'first'; give a number"),
         ({"condition": "dry/left"}, "condition 'dry/left' is not valid"),
         ({"subject": "../S01"}, r"subject '\.\./S01' is not valid"),

@@ -93,7 +93,8 @@ def picture(message: Image) -> np.ndarray | None:
     channels = {"mono8": 1, "rgb8": 3, "bgr8": 3}.get(message.encoding)
     if channels is None or message.height * message.step != len(message.data):
         return None
-    rows = np.frombuffer(message.data, np.uint8).reshape(message.height, message.step)
+    rows: np.ndarray = np.frombuffer(message.data, np.uint8)
+    rows = rows.reshape(message.height, message.step)
     rows = rows[:, : message.width * channels]
     if channels == 1:
         return rows

@@ -488,7 +488,7 @@ def _surface(level: np.ndarray, plate: np.ndarray, sign: float) -> np.ndarray:
     z = level.ravel().astype(np.float64)
     known = plate.ravel().astype(float)
     weight = np.maximum(known, sign * z >= np.median(sign * z))
-    surface = z
+    surface: np.ndarray = z
     for _ in range(5):
         scaled = terms * weight[:, None]
         # Not `@`: BLAS would wake a thread that spins beside the one that waits for it.

@@ -101,7 +101,7 @@ class RidgeTexture:
         gx, gy = gx.astype(np.float32), gy.astype(np.float32)
         size = (self.window, self.window)
         columns, rows = (np.rint(places).astype(int) - low).T
-        products = (gx * gx, gx * gy, gy * gy)
+        products: tuple[np.ndarray, ...] = (gx * gx, gx * gy, gy * gy)
         return np.column_stack([cv2.blur(a, size)[rows, columns] for a in products])
 
 

@@ -170,9 +170,10 @@ def fine_structure(background: Background, ridges: Ridges, period: float) -> tup
     inside = ridges.region[part]
     frame, plate = (image[ridges.box][part] for image in (background.frame, plate))
     difference = cv2.subtract(frame, plate, dtype=cv2.CV_16S)
-    along, down = (
+    slopes: list[np.ndarray] = [
         cv2.Sobel(difference, cv2.CV_32F, *order, scale=1 / 8) for order in ((1, 0), (0, 1))
-    )
+    ]
+    along, down = slopes
     xx, yy, xy = (cv2.mean(a * b, inside)[0] for a, b in ((along,) * 2, (down,) * 2, (along, down)))
     mean = (xx + yy) / 2 - SOBEL_NOISE * background.noise**2
     apart = math.hypot((xx - yy) / 2, xy)
@@ -267,7 +268,7 @@ def _region(
     near = cv2.dilate(certain, np.ones((size, size), np.uint8))
     dense = cv2.bitwise_and(_above(_density(ridges, 4, grid), DENSITY * 255), near)
     count, labels = cv2.connectedComponents(dense, connectivity=8)
-    weight = np.bincount(labels[certain > 0], minlength=count)
+    weight = np.bincount(labels[certain > 0].astype(np.intp), minlength=count)
     weight[0] = 0
     if not weight.any():
         return None
@@ -283,7 +284,8 @@ def _region(
     doubtful = np.zeros_like(main)
     if wide.any():
         _, parts, boxes, _ = cv2.connectedComponentsWithStats(cv2.subtract(main, wide))
-        sure = np.bincount(parts.ravel(), certain.ravel()) > HAIR * 255 * boxes[:, cv2.CC_STAT_AREA]
+        light = np.bincount(parts.ravel().astype(np.intp), certain.ravel())
+        sure = light > HAIR * 255 * boxes[:, cv2.CC_STAT_AREA]
         long = boxes[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1) > window
         long[0] = False
         main[(long & sure)[parts]] = 0

@@ -134,7 +134,7 @@ class NetFtSource(ForceSource):
         super().__init__(settings)
         self._watcher: _PageWatcher | None = None
         self._socket: socket.socket | None = None
-        self._scale = np.ones(6)
+        self._scale: np.ndarray = np.ones(6)
         self._rates = settings.rate, rdt.INTERNAL_RATE
         """Records sent and internal samples per second."""
         self._due = self._lost = 0

@@ -104,7 +104,7 @@ class NetFtSimulator(Simulator):
         self._rdt = 0
         self._ft = 0.0
         self._per_datagram = 1
-        self._bias = np.zeros(6)
+        self._bias: np.ndarray = np.zeros(6)
         self._held: bytes | None = None
         self._down_until = 0.0
         self._pages = threading.Thread(target=self._server.serve_forever, args=(0.1,), daemon=True)

@@ -34,7 +34,7 @@ def _apart(low: np.ndarray, high: np.ndarray) -> bool:
     """Whether two neighbouring clusters (a.u.) are two."""
     degrees = max(len(low) + len(high) - 2, 1)
     squares = sum(((part - part.mean()) ** 2).sum() for part in (low, high))
-    distance = high.mean() - low.mean()
+    distance = float(high.mean() - low.mean())
     return distance >= max(LEAST_DISTANCE, SEPARATED * float(np.sqrt(squares / degrees)))
 
 

@@ -312,8 +312,9 @@ def covariance(
         degrees -= len(problem.indentations.trials)  # their zeros
     shared = problem.nuisances
     names: tuple[str, ...] = ()
-    prior, assumed = np.zeros(number), np.zeros(0, dtype=bool)
-    own, own_sd, variance = np.zeros((len(used), 0)), np.zeros(0), 0.0
+    prior: np.ndarray = np.zeros(number)
+    own: np.ndarray = np.zeros((len(used), 0))
+    assumed, own_sd, variance = np.zeros(0, dtype=bool), np.zeros(0), 0.0
     if shared is not None:
         residual = residual + shared.slope @ goal.moves(residual)
     if planned:
@@ -386,7 +387,8 @@ def _frame_errors(
 
     slope (N, n): of the free parameters; noise: m², of independent frames.
     """
-    shared, precision = problem.nuisances, np.zeros(len(slope))
+    shared = problem.nuisances
+    precision: np.ndarray = np.zeros(len(slope))
     if shared is not None:
         found = ~shared.assumed
         slope = np.vstack([slope, shared.slope[:, found].T])

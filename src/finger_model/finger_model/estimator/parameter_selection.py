@@ -146,7 +146,7 @@ def _prior(
     """What is known of the finger: by the sets' own prior, or by covariances and settings.
 
     answers (5, d): of the finger states to `_directions`."""
-    none = np.zeros(area_filter.FINGER_STATES)
+    none: np.ndarray = np.zeros(area_filter.FINGER_STATES)
     known, presses = sets.prior, sets.presses
     area_sd, contact = settings.prior_area_sd, _contact(sets, settings)
     if known is None:

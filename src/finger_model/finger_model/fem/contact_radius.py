@@ -281,7 +281,7 @@ def gap_radius(skin: np.ndarray, contact: Contact) -> float:
     edge = 0.5 * r[0]
     if len(r) >= 4:
         weight = np.linspace(1.0, 0.1, len(r))
-        roots = np.polynomial.Polynomial.fit(r, measure, 2, w=weight).roots()
+        roots: np.ndarray = np.polynomial.Polynomial.fit(r, measure, 2, w=weight).roots()
         roots = roots[np.isreal(roots)].real
         if len(roots):
             edge = float(np.clip(roots[np.argmin(np.abs(roots - edge))], -r[0], r[0]))
