@@ -25,7 +25,7 @@ from finger_common.errors import InputError
         (np.array([0, 1_500_000], "M8[us]"), [0.0, 1.5]),
         (np.array([0, 1500], "m8[ms]"), [0.0, 1.5]),
         (np.ma.masked_array(np.array([1, 2], "m8[s]"), [True, False]), [np.nan, 2.0]),
-        ([np.timedelta64(250, "ms"), np.timedelta64("NaT")], [0.25, np.nan]),
+        ([np.timedelta64(250, "ms"), np.timedelta64("NaT", "ms")], [0.25, np.nan]),
         ([timedelta(seconds=2)], [2.0]),
         ([datetime(1970, 1, 2)], [86400.0]),
     ],

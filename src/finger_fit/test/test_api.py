@@ -508,7 +508,7 @@ def test_noise_on_an_area_of_zero_is_no_contact() -> None:
     assert record.area[0] == -1e-6 and record.area_flags[0] == AreaFlag.NO_CONTACT
 
 
-@pytest.mark.parametrize("missing", [None, math.nan, np.float32("nan"), np.datetime64("NaT")])
+@pytest.mark.parametrize("missing", [None, math.nan, np.float32("nan"), np.datetime64("NaT", "ns")])
 def test_a_missing_condition_is_none(missing: Any) -> None:
     """As columns of pandas have it; it became a condition named nan."""
     time = np.linspace(0.0, 2.0, 200)
