@@ -100,10 +100,12 @@ class _Linear:
 
     def __init__(self, mesh: Mesh) -> None:
         solver = Equilibrium(mesh)
-        # The stiffness is a sum over shear and bulk modulus of each part.
-        self._bands = np.array(
+        # The stiffness is a sum over shear and bulk modulus of each part, whose rows are few.
+        bands = np.array(
             [self._band(solver, mesh.part == p, shear) for shear in (True, False) for p in PARTS]
         )
+        self._rows = np.argwhere(bands.any(axis=2))
+        self._values = bands[tuple(self._rows.T)]
         self._fixed = solver.fixed
         self._axial = solver.axial
         skin = mesh.nodes[mesh.surface]
@@ -127,8 +129,8 @@ class _Linear:
         """Work (n, k, k) of axial forces (S, k) on the skin nodes (N/rad) on each other's
         displacements, for moduli (n, 6) of `_different`."""
         found = np.empty((len(moduli), loads.shape[1], loads.shape[1]))
-        fill = _fill_flexibility if len(moduli) < SIDE_BY_SIDE else _fill_flexibility_side_by_side
-        fill(moduli, self._bands, self._fixed, self._axial, loads, found)
+        fill = _in_turn if len(moduli) < SIDE_BY_SIDE else _side_by_side
+        fill(moduli, self._rows, self._values, self._fixed, self._axial, loads, found)
         return found
 
     def hertzian_load(self, radius: float) -> np.ndarray:
@@ -141,30 +143,6 @@ class _Linear:
         found = np.bincount(node, force * (1.0 - outer), number)
         found += np.bincount(node + 1, force * outer, number)
         return found / found.sum()
-
-
-def _flexibility_of_each(moduli, bands, fixed, axial, loads, found):
-    """found (n, k, k): work of loads (S, k) on each other's displacements, for moduli (n, 6) of
-    stiffnesses of bands (6, u, w)."""
-    for row in prange(len(moduli)):
-        own = moduli[row]
-        band = (
-            own[0] * bands[0]
-            + own[1] * bands[1]
-            + own[2] * bands[2]
-            + own[3] * bands[3]
-            + own[4] * bands[4]
-            + own[5] * bands[5]
-        )
-        elements.hold(band, fixed)
-        factorize(band)
-        # With K = L Lᵀ the work is that of L⁻¹ of the loads, which are at the numbering's end.
-        start = axial.min()
-        right = np.zeros((loads.shape[1], len(band) - start))
-        for node in range(len(axial)):
-            right[:, axial[node] - start] = loads[node]
-        substitute(band[start:], right)
-        found[row] = right @ right.T
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -195,8 +173,37 @@ def substitute(band, vectors):
                 rest[k] -= factor * below[k]
 
 
-_fill_flexibility = njit(cache=True, nogil=True)(_flexibility_of_each)
-_fill_flexibility_side_by_side = njit(cache=True, nogil=True, parallel=True)(_flexibility_of_each)
+@njit(cache=True, nogil=True)
+def _flexibility(moduli, rows, values, fixed, axial, loads):
+    """Work (k, k) of loads (S, k) on each other's displacements, for moduli (6,); rows (r, 2):
+    modulus and row of the band of each of values (r, w)."""
+    band = np.zeros((rows[:, 1].max() + 1, values.shape[1]))
+    for k in range(len(rows)):
+        row, value, modulus = band[rows[k, 1]], values[k], moduli[rows[k, 0]]
+        for m in range(len(value)):
+            row[m] += modulus * value[m]
+    elements.hold(band, fixed)
+    factorize(band)
+    # With K = L Lᵀ the work is that of L⁻¹ of the loads, which are at the numbering's end.
+    start = axial.min()
+    right = np.zeros((loads.shape[1], len(band) - start))
+    for node in range(len(axial)):
+        right[:, axial[node] - start] = loads[node]
+    substitute(band[start:], right)
+    return right @ right.T
+
+
+# Two functions: numba's cache takes one with other options for the same.
+@njit(cache=True, nogil=True)
+def _in_turn(moduli, rows, values, fixed, axial, loads, found):
+    for k in range(len(moduli)):
+        found[k] = _flexibility(moduli[k], rows, values, fixed, axial, loads)
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _side_by_side(moduli, rows, values, fixed, axial, loads, found):
+    for k in prange(len(moduli)):
+        found[k] = _flexibility(moduli[k], rows, values, fixed, axial, loads)
 
 
 def _contacts(flexibility: np.ndarray, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -174,23 +174,32 @@ class Process:
         return found
 
 
-def _rows_of_outputs(z, points, weights, out):
-    """out (n, o) += kernel of z (n, d) and points (d, m), times weights (o, m)."""
+@njit(cache=True, nogil=True)
+def _add_row(z, points, weights, out):
+    """out (o,) += kernel of z (d,) and points (d, m), times weights (o, m)."""
+    near = np.ones(points.shape[1])
+    if len(points) % 2:
+        near += 0.5 * (z[0] - points[0]) ** 2
+    # Two columns at once, which is faster.
+    for k in range(len(points) % 2, len(points), 2):
+        a, b = z[k], z[k + 1]
+        near += 0.5 * ((a - points[k]) ** 2 + (b - points[k + 1]) ** 2)
+    # Not by BLAS: its threads take longer to wake up than this takes.
+    for column in range(len(weights)):
+        out[column] += np.sum(weights[column] / near)
+
+
+# Two functions: numba's cache takes one with other options for the same.
+@njit(cache=True, nogil=True)
+def _add_outputs(z, points, weights, out):
+    for row in range(len(z)):
+        _add_row(z[row], points, weights, out[row])
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _add_outputs_side_by_side(z, points, weights, out):
     for row in prange(len(z)):
-        near = np.ones(points.shape[1])
-        if len(points) % 2:
-            near += 0.5 * (z[row, 0] - points[0]) ** 2
-        # Two columns at once, which is faster.
-        for k in range(len(points) % 2, len(points), 2):
-            a, b = z[row, k], z[row, k + 1]
-            near += 0.5 * ((a - points[k]) ** 2 + (b - points[k + 1]) ** 2)
-        # Not by BLAS: its threads take longer to wake up than this takes.
-        for column in range(len(weights)):
-            out[row, column] += np.sum(weights[column] / near)
-
-
-_add_outputs = njit(cache=True, nogil=True)(_rows_of_outputs)
-_add_outputs_side_by_side = njit(cache=True, nogil=True, parallel=True)(_rows_of_outputs)
+        _add_row(z[row], points, weights, out[row])
 
 
 def _kernel(a: np.ndarray, b: np.ndarray) -> np.ndarray:
