@@ -56,7 +56,7 @@ def checked_options(goal: Any) -> FitOptions:
     """Options of a FitParameters goal; raises InputError for what no fit could be made of."""
     if not goal.output:
         raise InputError("goal: 'output' is empty; name the folder to write to")
-    user_path(goal.output)
+    user_path(goal.output)  # which may name a home folder of nobody
     if not goal.bags:
         raise InputError("goal: 'bags' is empty; name the bags to fit")
     for bag in goal.bags:

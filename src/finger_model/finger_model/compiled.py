@@ -8,7 +8,8 @@ a record. numpy's own records do not, so kernels get thin views of the arrays he
 
 numba keeps compiled kernels beside their sources, or in another folder where it cannot. It compiles
 one anew when its own file changes, but not when a file does whose kernels or constants it holds.
-`keep_kernels` mends that for both.
+`keep_kernels` mends that for both. Nor does it tell options apart: a function that is compiled both
+for one core and for several (parallel=True) must be written as two, or one is taken for the other.
 """
 
 from __future__ import annotations

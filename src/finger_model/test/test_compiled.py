@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import importlib
 import os
+import pkgutil
 import shutil
 import subprocess
 import sys
 import tempfile
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -310,3 +312,20 @@ def test_nothing_is_compiled_after_the_warm_up() -> None:
         [sys.executable, "-c", CHANGES], capture_output=True, text=True, check=True
     )
     assert done.stdout.split() == []
+
+
+def test_no_function_is_compiled_with_two_sets_of_options() -> None:
+    """numba's cache gave the serial kernel of a batch where the parallel one was asked for."""
+    import finger_model
+
+    names = [m.name for m in pkgutil.walk_packages(finger_model.__path__, "finger_model.")]
+    kernels = {
+        id(value): value.py_func
+        for name in names
+        if "verification" not in name and not name.endswith("_node")
+        for value in vars(importlib.import_module(name)).values()
+        if hasattr(value, "py_func")
+    }
+    assert len(kernels) > 50
+    counts = Counter(kernels.values())
+    assert not [function.__qualname__ for function, count in counts.items() if count > 1]

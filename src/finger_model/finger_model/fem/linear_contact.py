@@ -147,7 +147,10 @@ class _Linear:
 
 @njit(cache=True, nogil=True, fastmath=True)
 def factorize(band):
-    """L of K = L Lᵀ in place of K, both (u, w) by the diagonal and what is below it."""
+    """L of K = L Lᵀ in place of K, both (u, w) by the diagonal and what is below it.
+
+    What LAPACK's dpbtrf does, which kernels cannot call.
+    """
     number, width = band.shape
     for column in range(number):
         own = band[column]
@@ -193,7 +196,7 @@ def _flexibility(moduli, rows, values, fixed, axial, loads):
     return right @ right.T
 
 
-# Two functions: numba's cache takes one with other options for the same.
+# Two functions: see `compiled`.
 @njit(cache=True, nogil=True)
 def _in_turn(moduli, rows, values, fixed, axial, loads, found):
     for k in range(len(moduli)):

@@ -189,7 +189,7 @@ def _add_row(z, points, weights, out):
         out[column] += np.sum(weights[column] / near)
 
 
-# Two functions: numba's cache takes one with other options for the same.
+# Two functions: see `compiled`.
 @njit(cache=True, nogil=True)
 def _add_outputs(z, points, weights, out):
     for row in range(len(z)):
