@@ -84,8 +84,10 @@ _LEAST_STRAIN = 1e-6
 
 _SUBSTEP = 0.15
 _MOST_SUBSTEPS = 4
-_MOST_ITERATIONS = 6
-_NEAR, _QUICK = 1e-3, 0.1
+_MOST_GROWTH = 4.0
+"""Largest growth of the strain by which Newton's method begins."""
+_MOST_ITERATIONS = 12
+_NEAR, _QUICK = 1e-2, 0.1
 """The Jacobian is kept after a change of less than _NEAR which is also less than _QUICK times the
 one before."""
 _CONVERGED = 1e-7
@@ -523,8 +525,9 @@ def _branch_weights(par, work, dt):
 def _strain(net, par, state, work, x):
     """Internal strain at the end of a step to x, by Newton's method from the weights in `work`.
 
-    Solves a = Σ e_b a_b + Σ g α d + Σ g β (c(a) + a); stable for any ratio of step and τ. False
-    where it finds no solution; the state is then as before.
+    Solves a = Σ e_b a_b + Σ g α d + Σ g β (c(a) + a); stable for any ratio of step and τ. It begins
+    with a strain d that has grown as that of a sudden load does. False where it finds no solution;
+    the state is then as before.
     """
     a, trial, residual, base = state.amplitudes, work.trial, work.residual, work.base
     k = len(a)
@@ -534,12 +537,15 @@ def _strain(net, par, state, work, x):
     for b in range(par.branches):
         old += weights[1, b]
         new += weights[2, b]
+    sudden = sudden_strain((state.force / par.force_scale) ** (1.0 / 3.0))
+    growth = min(sudden_strain(x) / sudden, _MOST_GROWTH) if sudden > 0.0 else 1.0
     # state.drive is still that of the start of the step.
     for i in range(k):
-        base[i] = old * (state.drive[1 + i] + a[i])
+        before = state.drive[1 + i] + a[i]
+        base[i] = old * before
         for b in range(par.branches):
             base[i] += weights[0, b] * state.branches[b, i]
-        trial[i] = a[i]
+        trial[i] = base[i] + new * growth * before
     largest, kept = math.inf, False
     for _ in range(_MOST_ITERATIONS):
         _drive(net, par, work, x, trial, work.drive)
