@@ -48,13 +48,17 @@ class Fingerprint:
         else:
             flow = y * 0.95 + 3e-3 * np.exp(-((x / 5e-3) ** 2))
         flow = flow + 0.4e-3 * smooth_noise(rng, coarse, 2.5e-3 / (2 * cls.PITCH))
-        phase = 2 * math.pi * flow / ridge_period
+        # exp(i phase): a factor z − z_k, or its conjugate, for each minutia. In cm, so that the
+        # product stays within the range of numbers.
+        wave = np.exp(2j * math.pi * flow / ridge_period)
         for _ in range(40):
             px, py = rng.uniform(-10e-3, 10e-3, 2)
-            phase += rng.choice([-1.0, 1.0]) * np.arctan2(y - py, x - px)
+            sign = rng.choice([-1.0, 1.0])
+            wave *= 1e2 * (axis - px) + (sign * 1e2j) * (axis - py)[:, None]
+        wave /= np.abs(wave)
         full = (cls.SIZE, cls.SIZE)
-        cosine = cv2.resize(np.cos(phase).astype(np.float32), full, interpolation=cv2.INTER_CUBIC)
-        sine = cv2.resize(np.sin(phase).astype(np.float32), full, interpolation=cv2.INTER_CUBIC)
+        cosine = cv2.resize(wave.real.astype(np.float32), full, interpolation=cv2.INTER_CUBIC)
+        sine = cv2.resize(wave.imag.astype(np.float32), full, interpolation=cv2.INTER_CUBIC)
         distance = (np.abs(np.arctan2(sine, cosine)) / math.pi).astype(np.float32)
         # Relief finer than a ridge is wide breaks dry ridges into islands.
         relief = smooth_noise(rng, cls.SIZE, 0.22 * ridge_period / cls.PITCH)
