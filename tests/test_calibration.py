@@ -109,6 +109,7 @@ def script(module_of: Callable[[str], Any]) -> Any:
     return module_of("scripts/calibration_fingers.py")
 
 
+@pytest.mark.slow
 def test_calipers_help_where_the_finger_is_of_another_size(script: Any) -> None:
     """Fingertips 11 mm wide: the error of later presses without camera, their scatter left out."""
     errors: dict[bool, list[float]] = {False: [], True: []}
@@ -247,6 +248,7 @@ def test_its_numbers_are_those_of_the_finger(fingers: list[Finger]) -> None:
         assert "area under 1 N" in found.sentence()
 
 
+@pytest.mark.slow
 def test_its_factors_are_as_uncertain_as_fingers_differ_from_the_model(script: Any) -> None:
     """Drawn fingers stiffen, and have several branches and lengths of their own."""
     rows = [script.tissue_errors(script.pressed(11, index), False) for index in range(24)]

@@ -835,6 +835,7 @@ def test_labels_are_taken_without_blanks_and_in_one_case(double: SimpleNamespace
             fit(other, model=model, **quick)
 
 
+@pytest.mark.slow
 def test_contrasts_cover_what_differs_where_estimates_lie_on_bounds(
     double: SimpleNamespace,
 ) -> None:

@@ -36,8 +36,15 @@ def with_box(problem) -> None:
     problem.box = np.array([[10e3, 2e6], [5e3, 200e3], [0.02, 2.0], [200e3, 6e6]])
 
 
-@pytest.mark.parametrize("sensor", [0.0, SENSOR])
-@pytest.mark.parametrize("nuisances", [False, True])
+@pytest.mark.parametrize(
+    ("nuisances", "sensor"),
+    [
+        (False, SENSOR),
+        (True, 0.0),
+        pytest.param(False, 0.0, marks=pytest.mark.slow),
+        pytest.param(True, SENSOR, marks=pytest.mark.slow),
+    ],
+)
 def test_the_expected_deviation_is_that_of_repeated_fits(
     double, nuisances: bool, sensor: float
 ) -> None:

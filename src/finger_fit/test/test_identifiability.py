@@ -66,7 +66,7 @@ def test_composite_coordinates_hold_the_modulus_and_the_box(double) -> None:
     assert all(held(boxed, "composite_E", modulus) is None for modulus in (5e3, 60e3))
 
 
-@pytest.mark.parametrize("window", ["loading", "contact"])
+@pytest.mark.parametrize("window", ["loading", pytest.param("contact", marks=pytest.mark.slow)])
 def test_bias_spread_and_coverage_over_many_seeds(double, window: str) -> None:
     """The targets of a recovery, where no bound is active; seeds are fixed, so the limits hold or
     fail for good.

@@ -138,6 +138,7 @@ def test_the_finger_of_the_paper_is_recovered_better_than_without() -> None:
             assert in_interval(problem, name, true, at, cost, known), name
 
 
+@pytest.mark.slow
 def test_a_finger_of_other_lengths_lies_in_the_intervals() -> None:
     """The indentation answers to the lengths by 10 to 15 %, and must not be believed beyond."""
     assumed = Geometry()

@@ -868,6 +868,7 @@ def test_areas_that_cannot_be_used_now_and_then_are_logged_once(
     assert len(logged) == 1
 
 
+@pytest.mark.slow
 def test_a_first_start_says_that_it_compiles_and_ends_at_ctrl_c(
     ros_domain: int,
     process: Callable[..., Any],

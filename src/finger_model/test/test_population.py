@@ -62,7 +62,12 @@ def test_the_file_is_small() -> None:
     ("material", "own", "population"),
     [
         (StandardLinearSolid(), 1.0, 3.0),
-        (StandardLinearSolid(E0=150e3, E1=20e3, tau1=0.8, E2=900e3), 5.0, 5.0),
+        pytest.param(
+            StandardLinearSolid(E0=150e3, E1=20e3, tau1=0.8, E2=900e3),
+            5.0,
+            5.0,
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_the_error_does_not_grow_over_taps_without_a_pause(
@@ -83,6 +88,7 @@ def test_the_error_does_not_grow_over_taps_without_a_pause(
         assert taps[-1].max() < 1.1 * taps[-3].max(), "it settles"
 
 
+@pytest.mark.slow
 def test_presses_that_are_wrong_at_one_load_are_left_out_there() -> None:
     """At single loads a few of the full order's areas are far off."""
     rng = np.random.default_rng(3)

@@ -404,7 +404,7 @@ def test_a_sensor_under_the_plate_that_gives_the_reaction_is_understood(normal_a
     assert shape.flags == 0 and error(pose, shape) < CERTAIN
 
 
-@pytest.mark.parametrize("seconds", [2.0, 6.0])
+@pytest.mark.parametrize("seconds", [2.0, pytest.param(6.0, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("torque", "most"), [(False, 1.6), (True, 2.0)])
 def test_a_pad_whose_place_is_hardly_known_has_no_sure_tilt(seconds, torque, most):
     """With the default deviation of its place; nothing that repeats makes the tilt sure."""

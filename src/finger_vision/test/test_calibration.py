@@ -168,8 +168,15 @@ def test_area_per_pixel_is_that_of_a_pixel_on_the_optical_axis(calibrated) -> No
     assert square == pytest.approx(4e-6, rel=2e-2)
 
 
-@pytest.mark.parametrize("mirrored", [False, True])
-@pytest.mark.parametrize("board", [CHARUCO, CHECKERS], ids=["charuco", "checkerboard"])
+@pytest.mark.parametrize(
+    ("board", "mirrored"),
+    [
+        pytest.param(CHARUCO, False, id="charuco", marks=pytest.mark.slow),
+        pytest.param(CHARUCO, True, id="charuco, mirrored"),
+        pytest.param(CHECKERS, False, id="checkerboard", marks=pytest.mark.slow),
+        pytest.param(CHECKERS, True, id="checkerboard, mirrored"),
+    ],
+)
 def test_plate_frame_is_right_handed_also_in_a_mirrored_picture(board: Board, mirrored) -> None:
     """The printed side lies on the glass and is seen through it: x right, y down and z away from
     the camera are right-handed on it. In a mirror what is right appears on the left."""
