@@ -252,13 +252,13 @@ class FtirRenderer:
 
     def _plate_grid(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Plate coordinates (m) and area (m²) of each pixel, float32."""
-        u, v = np.meshgrid(np.arange(self.width, dtype=float), np.arange(self.height, dtype=float))
+        u, v = np.arange(self.width, dtype=float), np.arange(self.height, dtype=float)[:, None]
         g = self._to_plate
-        w = g[2, 0] * u + g[2, 1] * v + g[2, 2]
-        x = (g[0, 0] * u + g[0, 1] * v + g[0, 2]) / w
-        y = (g[1, 0] * u + g[1, 1] * v + g[1, 2]) / w
+        x, y, w = (row[0] * u + (row[1] * v + row[2]) for row in g)
+        x /= w
+        y /= w
         # Jacobian of a homography: det(G) / w³.
-        area = abs(np.linalg.det(g)) / np.abs(w) ** 3
+        area = abs(np.linalg.det(g)) / np.abs(w * w * w)
         return x.astype(np.float32), y.astype(np.float32), area.astype(np.float32)
 
     def _paint_plate(self, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
