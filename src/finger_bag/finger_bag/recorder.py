@@ -30,7 +30,7 @@ from finger_common.stamps import header_stamp
 
 from .definitions import decoder, encode
 from .schema import TOPICS, SessionMetadata
-from .writer import BagWriter
+from .writer import BagWriter, check_name_length
 
 IMAGE_TYPE = TOPICS["image_raw"].type
 COMPRESSED_TYPE = TOPICS["image_raw/compressed"].type
@@ -212,6 +212,8 @@ class Recorder:
         if self._thread is not None:
             raise InputError(f"recording into {self.path} runs already; stop it first")
         self._content = _Content(metadata, topics or {}, attachments or {}, definitions or {})
+        if not further:
+            check_name_length(Path(path), "_part999")
         writer = self._open(Path(path), self.settings.minimum_free, further)
         self._lost, self._before, self._errors, self.parts = Counter(), Counter(), [], []
         self._device = writer.path.parent.stat().st_dev

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from finger_common.files import make_folder
 from finger_common.folder_lock import take_lock
 
 from .bag_files import METADATA, data_files
@@ -42,7 +43,7 @@ class RecordingMarker:
     def set(self, bag: Path, session: Mapping[str, str] | None) -> None:
         """Name the bag that is being written; session: as of `BrokenOff`. Raises OSError where that
         cannot be."""
-        self._file.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(self._file.parent)
         content = {"bag": str(bag.absolute()), "session": session}
         self._file.write_text(json.dumps(content) + "\n", encoding="utf-8")
 

@@ -20,8 +20,8 @@ from typing import IO, Any
 import yaml
 
 from finger_common.errors import InputError
-from finger_common.files import NO_ROOM, atomic_write, check_text, load_yaml
-from finger_common.folder_lock import take_lock
+from finger_common.files import NO_ROOM, atomic_write, check_text, load_yaml, make_folder
+from finger_common.folder_lock import refuse_existing, take_lock
 from finger_common.stamps import NANOSECONDS, seconds
 
 from .bag_files import METADATA, data_files, number_of
@@ -33,6 +33,9 @@ from .schema import software_version as _software_version
 
 CHUNK_SIZE = 1 << 20
 """Bytes of a chunk before compression; a chunk is what is lost when one bit of it flips."""
+
+LONGEST_NAME = 240
+"""Bytes of a bag's name. Its files have up to 15 more, and file systems allow 255."""
 
 # Version 8 keeps QoS as text, as every rosbag2 from Humble on reads it; version 9 changes that.
 METADATA_VERSION = 8
@@ -137,6 +140,13 @@ def _span(metadata: Mapping[str, Any]) -> tuple[int, int]:
     return start, start + int(metadata["duration"]["nanoseconds"])
 
 
+def check_name_length(path: Path, more: str = "") -> None:
+    """Raise InputError for a bag whose name, with what may be appended to it, is too long."""
+    size, most = len(os.fsencode(path.name)), LONGEST_NAME - len(more)
+    if size > most:
+        raise InputError(f"{path}: the name has {size} bytes; give one of at most {most}")
+
+
 class BagWriter:
     """Writes one bag; a context manager.
 
@@ -190,8 +200,9 @@ class BagWriter:
             raise InputError(f"{path}: not a name for a bag; give the folder to write")
         for text in (name, *self.metadata, *self.metadata.values()):
             check_text(text, f"{str(path)!r}")
+        check_name_length(self.path)
         if not further:
-            self._refuse_existing()
+            refuse_existing(self.path)
         self._further = further
         in_place = in_place or further
         self._folder = self.path if in_place else self.path.with_name(f".{name}.partial")
@@ -201,7 +212,7 @@ class BagWriter:
                 self._lock_folder()  # else of a program that was killed
                 self._unlock_folder()
                 shutil.rmtree(self._folder)
-            self._folder.mkdir(parents=True, exist_ok=True)
+            make_folder(self._folder)
             self._lock_folder()
             before = data_files(self._folder) if further else []
             self._first = 1 + max((number_of(file) for file in before), default=-1)
@@ -223,13 +234,6 @@ class BagWriter:
             with contextlib.suppress(OSError):
                 os.close(self._lock)
             self._lock = -1
-
-    def _refuse_existing(self) -> None:
-        if not os.path.lexists(self.path):
-            return
-        folder = self.path.is_dir() and not self.path.is_symlink()
-        if not folder or any(self.path.iterdir()):
-            raise InputError(f"{self.path}: exists already; choose another name or remove it")
 
     def __enter__(self) -> BagWriter:
         return self
@@ -532,7 +536,7 @@ class BagWriter:
         self.finish()
         if not self.closed:
             if self._folder != self.path:
-                self._refuse_existing()
+                refuse_existing(self.path)
                 if self.path.is_dir():
                     self.path.rmdir()
                 os.replace(self._folder, self.path)

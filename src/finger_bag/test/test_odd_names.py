@@ -24,9 +24,10 @@ from finger_bag.copying import recover
 from finger_bag.definitions import definition_text, encode
 from finger_bag.read_settings import ReadSettings
 from finger_bag.reader import open_bag
+from finger_bag.recorder import Recorder
 from finger_bag.schema import TOPICS
 from finger_bag.streams import find_used
-from finger_bag.writer import BagWriter
+from finger_bag.writer import LONGEST_NAME, BagWriter
 from finger_common.cli import run
 from finger_common.errors import InputError
 from finger_offline.trials import load_trials
@@ -103,6 +104,26 @@ def test_impossible_names_are_refused_in_one_sentence(
     text = capsys.readouterr().err
     assert text.count("\n") == (2 if output else 1) and "Traceback" not in text
     assert {p.name for p in tmp_path.iterdir()} == {"bag"}
+
+
+@pytest.mark.parametrize("size", [241, 250, 255])
+def test_a_name_too_long_for_the_files_of_a_bag_leaves_nothing_behind(
+    size: int, tmp_path: Path
+) -> None:
+    """The names of the files in a bag are longer than its own."""
+    for begin in (Recorder().start, BagWriter, lambda path: BagWriter(path, in_place=True)):
+        with pytest.raises(InputError, match=f"the name has {size} bytes; give one of at most 2"):
+            begin(tmp_path / "new" / ("é" * (size // 2) + "x" * (size % 2)))
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_longest_name_is_recorded_in_parts(tmp_path: Path) -> None:
+    path = tmp_path / ("a" * (LONGEST_NAME - len("_part999")))
+    recorder = Recorder()
+    recorder.start(path)
+    recorder.stop()
+    BagWriter(f"{path}_part999").close()
+    assert sorted(names(list(tmp_path.iterdir()))) == [path.name, f"{path.name}_part999"]
 
 
 @pytest.mark.parametrize("kind", ["loop", "link to a folder", "link to nothing", "pipe"])

@@ -84,6 +84,18 @@ def _sync_folder(folder: Path) -> None:
         os.close(handle)
 
 
+def make_folder(folder: str | Path) -> None:
+    """Make a folder and those above it that are missing; raises OSError.
+
+    `Path.mkdir` calls itself once a level: a path of a thousand levels ends it.
+    """
+    levels = [Path(folder)]
+    while not levels[-1].parent.exists():
+        levels.append(levels[-1].parent)
+    for level in reversed(levels):
+        level.mkdir(exist_ok=True)
+
+
 @contextmanager
 def atomic_write(
     path: str | Path, mode: str = "w", *, durable: bool = False, **options: Any
@@ -110,7 +122,7 @@ def atomic_write(
     device = exists(target) and not target.is_file()
     written = str(target)
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(target.parent)
         if not device:
             handle, written = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
             os.close(handle)

@@ -16,6 +16,7 @@ import pytest
 from finger_common import cli, files
 from finger_common.errors import InputError
 from finger_common.files import bounded_memory, read_csv, read_text
+from finger_common.folder_lock import whole_folder
 
 
 def test_atomic_write_replaces_only_when_the_block_succeeds(tmp_path: Path) -> None:
@@ -276,3 +277,59 @@ def test_a_durable_file_is_on_the_disk_before_it_takes_its_name(
         with files.atomic_write(tmp_path / "session.json", durable=durable) as file:
             file.write("{}")
     assert done == ["name", "file", "name", "folder"]
+
+
+def test_a_folder_takes_its_name_when_it_is_whole(tmp_path: Path) -> None:
+    (tmp_path / ".out.partial" / "killed").mkdir(parents=True)
+    with whole_folder(tmp_path / "out") as partial:
+        (partial / "bag").mkdir()
+        assert not (tmp_path / "out").exists()
+        with pytest.raises(InputError, match="out: is being written by another program"):
+            with whole_folder(tmp_path / "out"):
+                raise AssertionError
+        assert (partial / "bag").is_dir()
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["bag"]
+    with pytest.raises(ZeroDivisionError), whole_folder(tmp_path / "other"):
+        raise ZeroDivisionError
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+
+
+@pytest.mark.parametrize("kind", ["file", "pipe", "link", "full"])
+def test_a_folder_that_cannot_take_its_name_is_refused_before_it_is_written(
+    tmp_path: Path, kind: str
+) -> None:
+    out = tmp_path / "out"
+    if kind == "file":
+        out.touch()
+    elif kind == "pipe":
+        os.mkfifo(out)
+    elif kind == "link":
+        out.symlink_to("nothing")
+    else:
+        (out / "bag").mkdir(parents=True)
+    with pytest.raises(InputError, match="out: exists already; choose another name or remove it"):
+        with whole_folder(out):
+            raise AssertionError
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+
+
+def test_a_path_of_a_thousand_levels_is_written_to(tmp_path: Path) -> None:
+    deep = tmp_path.joinpath(*["d"] * 1500)
+    try:
+        files.make_folder(deep.parent)
+        with files.atomic_write(deep / "file") as file:
+            file.write("text")
+        assert read_text(deep / "file") == "text"
+        (deep / "file").unlink()
+    finally:
+        (tmp_path / "file").touch()  # a folder is left
+        os.removedirs(deep)  # shutil.rmtree, as pytest uses it, would not end
+
+
+def test_a_file_is_no_folder(tmp_path: Path) -> None:
+    files.make_folder(tmp_path)
+    (tmp_path / "file").touch()
+    with pytest.raises(FileExistsError):
+        files.make_folder(tmp_path / "file")
+    with pytest.raises(NotADirectoryError):
+        files.make_folder(tmp_path / "file" / "folder")

@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 
 from finger_common import contact_threshold, flags, trial_phases
-from finger_common.files import atomic_write
+from finger_common.files import atomic_write, make_folder
 
 WITHOUT_KERNELS = ("commands", "verification")
 """Folders that no kernel is in."""
@@ -93,7 +93,7 @@ def keep_kernels(package: Path, *others: str) -> bool:
 def writable(folder: Path) -> bool:
     """Whether files can be made in a folder, which is made where it is missing."""
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         with tempfile.TemporaryFile(dir=folder) as file:
             file.write(bytes(2**16))  # what a full disk refuses
     except OSError:

@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 
 from finger_common.errors import InputError, listed
-from finger_common.files import user_path
+from finger_common.files import make_folder, user_path
 from finger_common.subject_code import FINGER_NAMES, may_be_one, parameter_file_name
 
 from .parameter_sets import ParameterSets
@@ -56,7 +56,7 @@ def check_folder(folder: str | Path) -> None:
     """
     path = user_path(folder)
     try:
-        path.mkdir(parents=True, exist_ok=True)
+        make_folder(path)
         tempfile.TemporaryFile(dir=path).close()
     except OSError as error:
         raise InputError(

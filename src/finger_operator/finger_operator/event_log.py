@@ -14,6 +14,7 @@ from datetime import datetime, timezone
 from pathlib import Path
 
 from finger_common.errors import InputError
+from finger_common.files import make_folder
 from finger_common.stamps import seconds
 
 EVENTS_FILE = "events.csv"
@@ -76,7 +77,7 @@ class EventLog:
         new = self.events[self._written :]
         if not new:
             return
-        self._path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(self._path.parent)
         with self._path.open("a+b", buffering=0) as file:
             end = file.seek(0, os.SEEK_END)
             text = io.StringIO()

@@ -20,6 +20,7 @@ import cv2
 import numpy as np
 
 from finger_common.errors import InputError
+from finger_common.files import make_folder
 from finger_common.host_clock import HostClock
 from finger_common.namespaces import DEFAULT_NAMESPACE
 from finger_common.stamps import NANOSECONDS, nanoseconds
@@ -91,7 +92,7 @@ class SimulatedRig:
         settings, addresses = self.settings, self.addresses
         self._open.push(addresses.lock())
         for folder in (addresses.spool, addresses.truth, addresses.planned):
-            folder.mkdir(parents=True, exist_ok=True)
+            make_folder(folder)
         for line in NOT_MODELLED:
             self._report(f"not modelled: {line}")
         planner = Planner(

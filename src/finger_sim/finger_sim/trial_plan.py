@@ -20,7 +20,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from finger_common.files import atomic_write
+from finger_common.files import atomic_write, make_folder
 from finger_common.guided_presses import PRESS_BY_NAME
 from finger_common.guided_pulls import is_pull
 from finger_model.paper import READINGS_PER_TRIAL, TARGET_FORCE
@@ -121,7 +121,7 @@ def plan_trial(
     skin_ratio = setting.material.skin_ratio
     correction = PoseCorrection(finger.geometry, pose or Pose(), skin_ratio)
 
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     renderer = renderer_for(setting.name, view, request.seed)
     renderer.restart_noise(request.rng("noise"))
     centre = request.rng("placement").normal(0.0, PLACEMENT_SD, 2)

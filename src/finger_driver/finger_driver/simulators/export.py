@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from finger_common.errors import InputError
+from finger_common.files import make_folder
 from finger_common.settings import Settings, setting
 
 from .simulator import Simulator
@@ -60,7 +61,7 @@ class ExportFileSimulator(Simulator):
         self._period = settings.period
         self._rows: list[tuple[datetime.datetime, float, str]] = []
         try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
+            make_folder(self.path.parent)
             self._write_all()
         except (OSError, LookupError) as error:
             detail = getattr(error, "strerror", None) or error

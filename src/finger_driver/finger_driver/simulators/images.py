@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from finger_common.errors import InputError
+from finger_common.files import make_folder
 from finger_common.settings import Settings, setting
 
 from ..camera.folder import file_name, parse_name
@@ -50,7 +51,7 @@ class FrameFolderWriter:
         self._written: deque[Path] = deque()
         self._last_image: np.ndarray | None = None
         try:
-            self.folder.mkdir(parents=True, exist_ok=True)
+            make_folder(self.folder)
             for old in self.folder.iterdir():
                 if parse_name(old.name) is not None:
                     old.unlink()

@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from finger_common.errors import InputError, listed
-from finger_common.files import atomic_write, load_json
+from finger_common.files import atomic_write, load_json, make_folder
 from finger_common.folder_lock import take_lock
 from finger_common.subject_code import is_subject, may_be_one
 from finger_model.subjects import subject_file
@@ -51,7 +51,7 @@ def alone_in(folder: Path) -> Iterator[None]:
     _check_writable(folder)
     made = list(itertools.takewhile(lambda path: not path.exists(), (folder, *folder.parents)))
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         handle = os.open(folder, os.O_RDONLY)
     except OSError as error:
         raise _no_folder(folder, error) from None

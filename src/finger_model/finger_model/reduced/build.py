@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from finger_common.errors import InputError, ModelError
-from finger_common.files import atomic_write, sha256_of
+from finger_common.files import atomic_write, make_folder, sha256_of
 from finger_common.folder_lock import take_lock
 
 from ..fem.full_order import FullOrderModel
@@ -197,7 +197,7 @@ def parts_folder(output: Path, name: str) -> Iterator[Path]:
     folder = output.with_name(output.name + ".parts")
     stamp = folder / "belongs_to"
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         handle = os.open(folder, os.O_RDONLY)
     except OSError as error:
         raise _no_folder(folder, error) from None

@@ -8,7 +8,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import re
-import shutil
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ from finger_common.cli import add_settings, plain, settings_from
 from finger_common.condition_name import SPELLING_ALONE, check_condition_name, same_but_for_spelling
 from finger_common.errors import InputError, known_names
 from finger_common.files import exists, sha256_of_file
+from finger_common.folder_lock import whole_folder
 from finger_common.progress import Stages
 
 from .grouped import Part, cell_text, recordings
@@ -76,12 +76,7 @@ def run(args: argparse.Namespace) -> int:
             done.append(import_trial(settings, output, stages.update))
         else:
             rows = list(rows_of(args) if settings is None else named_recordings(settings))
-            if output.exists() and (output.is_file() or any(output.iterdir())):
-                raise InputError(f"{output}: exists already; choose another name or remove it")
-            # Nothing half-written is left: the folder takes its name when all bags are complete.
-            partial = output.with_name(f".{output.name}.partial")
-            shutil.rmtree(partial, ignore_errors=True)
-            try:
+            with whole_folder(output) as partial:
                 for row in stages.track(rows, "recordings", len(rows)):
                     try:
                         found = import_trial(
@@ -93,11 +88,6 @@ def run(args: argparse.Namespace) -> int:
                     except InputError as error:
                         raise InputError(f"{row.where}: {error}") from None
                     done.append(found)
-                if output.exists():
-                    output.rmdir()
-                partial.rename(output)
-            finally:
-                shutil.rmtree(partial, ignore_errors=True)
             for result in done:
                 result.path = output / result.path.name
     return _report(done)
