@@ -5,13 +5,20 @@
 
 from __future__ import annotations
 
-from datetime import datetime, timedelta
+from datetime import datetime, timedelta, timezone
 from typing import Any
 
 import numpy as np
 
 from .errors import InputError
 from .stamps import NANOSECONDS
+
+
+def _utc(date: Any) -> Any:
+    """A date without its time zone, which NumPy does not take; others as they are."""
+    if isinstance(date, datetime) and date.tzinfo is not None:
+        return date.astimezone(timezone.utc).replace(tzinfo=None)
+    return date
 
 
 def column(values: Any, name: str) -> np.ndarray:
@@ -22,7 +29,7 @@ def column(values: Any, name: str) -> np.ndarray:
     if not kind and isinstance(values, (list, tuple)) and values:
         first = values[0]
         if isinstance(first, (datetime, np.datetime64)):
-            kind = "M"
+            kind, values = "M", [_utc(value) for value in values]
         elif isinstance(first, (timedelta, np.timedelta64)):
             kind = "m"
     try:

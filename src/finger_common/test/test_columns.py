@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from datetime import datetime, timedelta
+from datetime import datetime, timedelta, timezone
 from typing import Any
 
 import numpy as np
@@ -32,6 +32,13 @@ from finger_common.errors import InputError
 )
 def test_numbers_and_dates_are_taken(values: Any, numbers: list[float]) -> None:
     np.testing.assert_array_equal(column(values, "time"), numbers)
+
+
+@pytest.mark.filterwarnings("error")
+def test_dates_of_a_time_zone_are_brought_to_utc() -> None:
+    east = timezone(timedelta(hours=2))
+    dates = [datetime(1970, 1, 2, 2, 0, 0, 500_000, east), datetime(1970, 1, 2)]
+    np.testing.assert_array_equal(column(dates, "time"), [86400.5, 86400.0])
 
 
 @pytest.mark.parametrize("values", ["much", ["a"], [1j], {"a": 1}, (x for x in (1.0, 2.0))])
