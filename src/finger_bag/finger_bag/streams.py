@@ -243,7 +243,8 @@ def read_wrenches(
         # The mapping tells the unit of the force alone: zero is a sensor without torque.
         torque = np.zeros_like(torque)
     stamps = log.copy() if mapped.log_time else stamps
-    return Wrenches(log, stamps, force * mapped.scale, torque), frame
+    with np.errstate(all="ignore"):  # the bytes of a damaged bag may be any number
+        return Wrenches(log, stamps, force * mapped.scale, torque), frame
 
 
 class _Wrenches:

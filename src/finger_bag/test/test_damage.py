@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import os
 import sqlite3
+import struct
 import subprocess
 import sys
 import time
@@ -28,7 +29,10 @@ from session_bags import START, wrench, write_session
 from finger_bag.bag_files import find_bags
 from finger_bag.cli import command
 from finger_bag.copying import anonymise, recover
+from finger_bag.definitions import encode
+from finger_bag.mapping import TopicMapping
 from finger_bag.mcap_file import McapFile
+from finger_bag.read_settings import ReadSettings
 from finger_bag.reader import open_bag
 from finger_bag.validate import validate
 from finger_bag.writer import BagWriter
@@ -462,3 +466,20 @@ def test_a_file_of_another_kind_is_named_with_the_remedy(
     path.write_bytes(content)
     with pytest.raises(InputError, match=kind):
         open_bag(path)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("bits", [0x7FF0000000000001, 0xFFF0000000000000])
+def test_forces_that_are_no_numbers_give_no_warning(tmp_path: Path, bits: int) -> None:
+    """A NaN that signals, as flipped bits make it, and infinity."""
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add_topic("wrench")
+        for k in range(1000):
+            cdr = encode("geometry_msgs/msg/WrenchStamped", wrench(START + 2_000_000 * k, 0.125))
+            if k % 10 == 0:
+                cdr = cdr.replace(struct.pack("<d", -0.125), struct.pack("<Q", bits))
+            bag.write_raw("wrench", cdr, START + 2_000_000 * k)
+    mapping = tmp_path / "mapping.yaml"
+    mapping.write_text("topics: {wrench: {topic: /finger/wrench, unit: kgf}}\n")
+    for settings in (ReadSettings(), ReadSettings(mapping=TopicMapping.load(str(mapping)))):
+        assert not validate(tmp_path / "bag", settings).fit
