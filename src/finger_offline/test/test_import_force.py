@@ -131,3 +131,28 @@ def test_scales_show_the_weight_of_a_gram(files: dict[str, str], tmp_path: Path)
     named = {"force": scale, "force_column": "load_g"}
     import_trial(ImportSettings(**{**files, **named}), tmp_path / "bag")
     check_trials(tmp_path / "bag")
+
+
+@pytest.mark.parametrize(
+    ("rows", "says"),
+    [
+        (["1.0,1.0"], "force.csv: holds one row with a force; export the whole recording"),
+        (["0.0,0.0", "0.1,-1e308", "0.2,0.0"], r"force.csv, row 3: a force beyond 1e\+06 N"),
+    ],
+)
+def test_a_table_without_a_course_of_forces_is_refused(
+    files: dict[str, str], tmp_path: Path, rows: list[str], says: str
+) -> None:
+    Path(files["force"]).write_text("\n".join(["time_s,force_n", *rows]) + "\n")
+    with pytest.raises(InputError, match=says):
+        import_trial(ImportSettings(**files), tmp_path / "bag")
+    assert not (tmp_path / "bag").exists()
+
+
+def test_a_sensor_of_100_hz_is_fast_enough_though_its_clock_is_slow(
+    files: dict[str, str], tmp_path: Path
+) -> None:
+    time = np.arange(0.0, 9.0, 0.01) * (1.0 + 1e-5)
+    csv(Path(files["force"]), "time_s,force_n", time, force_at(time))
+    import_trial(ImportSettings(**files), tmp_path / "bag")
+    assert validate(tmp_path / "bag").fit

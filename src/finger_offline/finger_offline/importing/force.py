@@ -31,6 +31,9 @@ from .series import FORCE, check_length, factor_of, rows_in_order, times_of
 from .settings import ImportSettings
 from .table import Table, Times
 
+NO_FORCE = 1e6
+"""N, from which on a number of a table is damaged: no sensor gives it."""
+
 MAXIMUM_PRESSES = 1000
 """Presses of one recording; thousands are the noise of a force that was not tared."""
 
@@ -77,6 +80,14 @@ def read_force(
             f"'{', '.join(headings)}'; name the columns that belong together"
         )
     times = times.at(keep)
+    if len(times.ns) < 2:
+        raise InputError(f"{table.where}: holds one row with a force; export the whole recording")
+    wild = np.flatnonzero(keep & (np.max(np.abs(columns), axis=0) > NO_FORCE))
+    if len(wild):
+        row = table.first_row + wild[0]
+        raise InputError(
+            f"{table.where}, row {row}: a force beyond {NO_FORCE:g} N; correct it or leave it out"
+        )
     force = np.zeros((len(times.ns), 3))
     if len(columns) == 1:
         force[:, 2] = columns[0][keep] * (1.0 if settings.force_sign == "negative" else -1.0)
