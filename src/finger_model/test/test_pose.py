@@ -28,6 +28,7 @@ from finger_model.reduced.model import load_population
 from finger_model.shape.estimate import MeasuredOutline
 from finger_model.shape.estimator import PoseEstimator
 from finger_model.shape.settings import PoseSettings
+from finger_model.shape.torque_zero import TorqueZero
 from finger_model.verification.cases import CALCULIX_FINGER, STUDY, reference, smooth_area
 
 ROUND = 40e-6
@@ -570,6 +571,47 @@ def test_a_zero_of_the_torque_from_before_a_silence_is_forgotten():
     assert blink.roll_stddev < 0.8 * after.roll_stddev
     invalid = pressed_with_zero(1e-3, 3.0, 1.5, invalid=True)
     assert (invalid.roll, invalid.roll_stddev) == (after.roll, after.roll_stddev)
+
+
+@pytest.mark.parametrize("offset", [2e-3, 0.05, 1.0])
+@pytest.mark.parametrize("after", [0.2, 0.6, 2.0])
+def test_a_tare_before_a_touch_gives_the_new_zero_of_the_torque(offset, after):
+    rng = np.random.default_rng(0)
+    zero, touch = TorqueZero(2e-4), 10**10 + round(after * 1e9)
+    for stamp in range(5 * 10**9, touch, 2_000_000):
+        x, y = rng.normal(0.0, 1e-4, 2)
+        zero.see_air(stamp, (x, y + (offset if stamp < 10**10 else 0.0)), 0.0, 0.02)
+    zero.touch(0.02)
+    if after < 0.5:  # the new zero is not known yet
+        assert zero.mean == (0.0, 0.0) and zero.sd > 0.8 * offset
+    else:
+        assert zero.mean == pytest.approx((0.0, 0.0), abs=5e-5) and zero.sd < 5e-5
+
+
+def test_a_finger_that_begins_to_rest_is_no_tare_of_the_torque():
+    """0.04 N on an arm of 20 mm, which is not a contact yet."""
+    rng = np.random.default_rng(0)
+    zero = TorqueZero(2e-4)
+    for stamp in range(5 * 10**9, 7 * 10**9, 2_000_000):
+        resting = 0.04 if stamp > 65 * 10**8 else 0.0
+        x, y = rng.normal(0.0, 1e-4, 2)
+        zero.see_air(stamp, (1e-3 + x, y + 0.02 * resting), -resting, 0.02)
+    zero.touch(0.02)
+    assert zero.mean == pytest.approx((1e-3, 0.0), abs=1e-4)
+
+
+def test_each_sample_of_a_sensor_of_50_hz_gives_a_shape_though_it_jitters():
+    rng = np.random.default_rng(0)
+    estimator = PoseEstimator(PoseCorrection(Geometry(), Pose(), SKIN))
+
+    def shapes(stamps):
+        found = (estimator.add(estimate(int(s), 0.0, 0.0), (0.0,) * 3, (0.0,) * 3) for s in stamps)
+        return sum(shape is not None for shape in found)
+
+    at = 10**10 + 20_000_000 * np.arange(200)
+    assert shapes(at + rng.uniform(-2e6, 2e6, 200)) == 200
+    fast = 2 * 10**10 + 2_000_000 * np.arange(5000)
+    assert shapes(fast) == pytest.approx(500, abs=1)
 
 
 def test_a_zero_of_the_torque_that_the_air_did_not_tell_is_part_of_the_deviation():

@@ -87,8 +87,9 @@ TINY = 1e-30
 PRESSURE_PERIOD = nanoseconds(1.0 / 30.0)
 """ns of torque samples that are taken together."""
 
-SHAPE_PERIOD = nanoseconds(0.02)
-"""ns from one shape to the next, at least."""
+SHAPE_PERIOD, SHAPE_EARLY = nanoseconds(0.02), nanoseconds(0.005)
+"""ns from one shape to the next, and by which one may come early: samples of a sensor of 50 Hz do
+not come at even times."""
 
 SMALLEST_FORCE = 0.1
 """N; below it neither outline nor centre of pressure is used."""
@@ -164,7 +165,7 @@ class PoseEstimator:
         self.mean[ASPECT] = math.log(self._assumed.pose.aspect)
         self.covariance[ASPECT, ASPECT] = settings.pad_aspect_sd**2
         self._touching = self._outlined = self._pressed = self._pressed_outside = False
-        self._given = self._heard = 0
+        self._due = self._heard = 0
         self._sum, self._count, self._sum_since = np.zeros(2), 0, 0
         self._pressure = (math.nan, math.nan)
         self._correction = None
@@ -209,9 +210,11 @@ class PoseEstimator:
         Gives the shape where one is due, one in SHAPE_PERIOD.
         """
         self._follow(estimate, force, torque)
-        if 0 <= estimate.stamp_ns - self._given < SHAPE_PERIOD:
+        early = self._due - estimate.stamp_ns
+        if SHAPE_EARLY < early <= SHAPE_PERIOD + SHAPE_EARLY:
             return None
-        self._given = estimate.stamp_ns
+        in_step = abs(early) < SHAPE_PERIOD
+        self._due = (self._due if in_step else estimate.stamp_ns) + SHAPE_PERIOD
         return self.shape(estimate)
 
     def _follow(
@@ -239,7 +242,7 @@ class PoseEstimator:
         told = any(torque) and all(map(math.isfinite, (*torque, *force)))
         moment = self._moment(force, torque) if told else None
         if moment is not None and not self._touching:
-            self._zero.see_air(stamp, moment, float(force[self._axis]))
+            self._zero.see_air(stamp, moment, float(force[self._axis]), self._arm)
         for seen, outline in self.outlines.due(stamp):
             if self._touching and seen >= estimate.onset_ns:
                 self._see_outline(seen, outline)

@@ -10,9 +10,10 @@ from collections import deque
 
 import numpy as np
 
+from finger_common.contact_threshold import ONSET_FORCE
 from finger_common.stamps import nanoseconds
 
-from ..sensor_air import BLOCK, BLOCKS, LEAST_BLOCKS
+from ..sensor_air import BLOCK, BLOCKS, LEAST_BLOCKS, is_tared
 
 PERIOD = nanoseconds(BLOCK)
 LARGEST = 10.0
@@ -38,6 +39,7 @@ class TorqueZero:
     def forget(self) -> None:
         """The sensor may have another zero from now on."""
         self._blocks.clear()
+        self._jump, self._before = 0.0, np.zeros(0)
         self.leave(0)
 
     def leave(self, stamp_ns: int) -> None:
@@ -45,8 +47,9 @@ class TorqueZero:
         self._sum, self._count = np.zeros(3), 0
         self._since = self._newest = stamp_ns + PERIOD
 
-    def see_air(self, stamp_ns: int, moment: tuple[float, float], force: float) -> None:
-        """A moment (2,) in N m and the force along the normal axis (N) in the air."""
+    def see_air(self, stamp_ns: int, moment: tuple[float, float], force: float, arm: float) -> None:
+        """A moment (2,) in N m and the force along the normal axis (N) in the air; arm: as of
+        `touch`."""
         if not -PERIOD <= stamp_ns - self._newest < 2 * PERIOD:
             self.leave(stamp_ns)
         if stamp_ns < self._since or not math.hypot(*moment, force) <= LARGEST:
@@ -55,8 +58,24 @@ class TorqueZero:
         self._sum += *moment, force
         self._count += 1
         if stamp_ns - self._since >= PERIOD:
-            self._blocks.append(self._sum / self._count)
+            self._take(self._sum / self._count, arm)
             self._sum, self._count, self._since = np.zeros(3), 0, stamp_ns
+
+    def _take(self, block: np.ndarray, arm: float) -> None:
+        """Remember a block (3,), but for the first one of another zero, which may be of both."""
+        if self._blocks:
+            blocks = np.array(self._blocks)
+            mean = blocks.mean(axis=0)
+            jump, variance = math.dist(block[:2], mean[:2]), float(blocks[:, :2].var(axis=0).sum())
+            # A finger that begins to rest there moves the moment, too.
+            least = self._unseen + arm * min(abs(block[2] - mean[2]), ONSET_FORCE)
+            if is_tared(len(blocks), jump, variance, least):
+                self._blocks.clear()
+                self._jump, self._before = jump, mean
+                return
+        elif len(self._before):
+            self._jump = max(self._jump, math.dist(block[:2], self._before[:2]))
+        self._blocks.append(block)
 
     def touch(self, arm: float) -> None:
         """A contact begins, at most `arm` (m) from the torque's origin.
@@ -64,7 +83,7 @@ class TorqueZero:
         A finger may have rested there before, too lightly for a contact: what its force makes of
         the moment counts as not known.
         """
-        self.mean, self.sd = (0.0, 0.0), self._unseen
+        self.mean, self.sd = (0.0, 0.0), max(self._unseen, self._jump)
         if len(self._blocks) >= LEAST_BLOCKS:
             blocks = np.array(self._blocks)
             moments, resting = blocks[:, :2], arm * blocks[:, 2]

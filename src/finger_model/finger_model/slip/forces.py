@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from .. import force_noise
+from .. import force_noise, sensor_air
 from ..compiled import njit
 from ..force_noise import NOISE_MEMORY
 from ..sensor_air import BLOCK, BLOCKS, LEAST_BLOCKS
@@ -32,10 +32,10 @@ LEAST_ROUGH = 10.0
 CLEAR_ZERO = 3.0
 """Mean over scatter of the blocks from which the mean is taken off."""
 
-TARED, TARED_SCATTERS = 0.05, 6.0
-"""N, and scatters of the blocks, by which a block lies beside their mean from which the sensor was
-tared, or moved at once: the zero is another one. A gripper that goes on to move makes the blocks
-after it scatter; one that swings has scattered before."""
+TARED = 0.05
+"""N by which a block lies beside the mean of those before, at least, where the sensor was tared."""
+
+_is_tared = njit(cache=True)(sensor_air.is_tared)
 
 TRACK = np.dtype([("value", "f8", (3,)), ("rate", "f8", (3,))])
 """P, Qx, Qy."""
@@ -191,9 +191,11 @@ def see_air(forces, noise, stamp, dt, q0, q1):
         return
     d0, d1 = air.sum[0] / air.samples - air.mean[0], air.sum[1] / air.samples - air.mean[1]
     jump = math.hypot(d0, d1)
-    if air.blocks >= BLOCKS and jump > max(TARED, TARED_SCATTERS * math.sqrt(air.variance)):
+    if _is_tared(air.blocks, jump, air.variance, TARED):
         air.blocks, air.jump = 0.0, jump  # this block may be of both
     else:
+        if air.blocks == 0.0 and air.jump > 0.0:
+            air.jump = max(air.jump, jump)
         air.blocks = min(air.blocks + 1.0, BLOCKS)
         share = 1.0 / air.blocks
         air.mean[0] += share * d0
