@@ -11,7 +11,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any
 
@@ -61,6 +61,18 @@ def begin_worker() -> None:
         os._exit(1)
 
     threading.Thread(target=wait, name="parent", daemon=True).start()
+
+
+def worker_pool(
+    workers: int, initializer: Callable[..., object] = begin_worker, arguments: Sequence[Any] = ()
+) -> ProcessPoolExecutor:
+    """Processes for work of one's own, started anew: a fork of a process whose libraries run
+    threads can deadlock.
+
+    initializer: of each process; it calls `begin_worker`.
+    """
+    spawn = multiprocessing.get_context("spawn")
+    return ProcessPoolExecutor(workers, spawn, initializer=initializer, initargs=tuple(arguments))
 
 
 @contextmanager

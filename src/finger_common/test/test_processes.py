@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from finger_common.processes import begin_worker, in_threads
+from finger_common.processes import begin_worker, in_threads, worker_pool
 
 PARENT = """
 import multiprocessing, os, sys, time
@@ -81,6 +81,22 @@ def test_linear_algebra_takes_one_thread_in_a_worker(start: str) -> None:
     with threadpool_limits(4), ProcessPoolExecutor(1, context, initializer=begin_worker) as pool:
         (counts,) = pool.map(count_threads, [0])
     assert counts and set(counts) == {1}
+
+
+FORKED = []
+"""Filled in this process alone: a fork takes it over."""
+
+
+def what_is_inherited(_: int) -> list[int]:
+    return FORKED
+
+
+def test_a_pool_forks_no_process_that_runs_threads() -> None:
+    """Python 3.12 and later warn of that: locks that another thread holds stay closed."""
+    FORKED.append(1)
+    with worker_pool(2) as pool:
+        assert list(pool.map(what_is_inherited, range(4))) == [[]] * 4
+        assert list(pool.map(count_threads, [0])) == [[1] * len(count_threads(0))]
 
 
 def test_threads_side_by_side_leave_linear_algebra_as_it_was() -> None:

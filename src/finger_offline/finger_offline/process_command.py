@@ -10,7 +10,6 @@ import os
 import sys
 import time
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,7 +20,7 @@ from finger_bag.read_settings import add_read_options, read_settings_from
 from finger_common.cli import EXIT_BAD_INPUT, EXIT_LOST, one_line, plain
 from finger_common.errors import FingerError, InputError
 from finger_common.files import check_outputs
-from finger_common.processes import begin_worker
+from finger_common.processes import worker_pool
 from finger_common.progress import Stages
 
 from .image_settings import named_values, sensor_settings
@@ -116,7 +115,7 @@ def run(args: argparse.Namespace) -> int:
     with Stages() as stages:
         if several:
             jobs = [(bag, target, options) for bag, target in zip(bags, targets)]
-            with ProcessPoolExecutor(min(args.jobs, len(bags)), initializer=begin_worker) as pool:
+            with worker_pool(min(args.jobs, len(bags))) as pool:
                 done = pool.map(_process_one, jobs)
                 results += stages.track(done, f"{len(bags)} bags", len(bags))
         else:

@@ -14,10 +14,8 @@ the bag's metadata names it. With `misfit`, trials also differ in ways unknown t
 from __future__ import annotations
 
 import json
-import multiprocessing
 import time
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,7 +23,7 @@ from typing import Any
 from finger_common.errors import InputError
 from finger_common.files import atomic_write
 from finger_common.guided_pulls import LOAD
-from finger_common.processes import begin_worker
+from finger_common.processes import worker_pool
 from finger_common.progress import duration_text
 from finger_common.stamps import NANOSECONDS
 from finger_model.paper import TARGET_FORCE, TRIALS_PER_CONDITION
@@ -86,8 +84,7 @@ def simulate_study(
     )
     write = partial(_write_trial, folder, seed, images, misfit, refinement, slip)
     if processes > 1 and len(jobs) > 1:
-        spawn = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(processes, spawn, initializer=begin_worker) as pool:
+        with worker_pool(processes) as pool:
             try:
                 _tell(pool.map(write, jobs), len(jobs), progress)
             except KeyboardInterrupt:

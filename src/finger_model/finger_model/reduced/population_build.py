@@ -12,7 +12,6 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,7 @@ import numpy as np
 
 from finger_common.errors import ModelError
 from finger_common.files import atomic_write, sha256_of
-from finger_common.processes import begin_worker, in_threads
+from finger_common.processes import begin_worker, in_threads, worker_pool
 from finger_common.settings import Settings, setting
 
 from ..fem.full_order import FullOrderModel
@@ -307,7 +306,7 @@ def _runs(
     missing = {part: file for part, file in zip(chunks, files) if not file.exists()}
     done = number - sum(map(len, missing))
     if missing:
-        with ProcessPoolExecutor(workers, initializer=_begin, initargs=(task,)) as executor:
+        with worker_pool(workers, _begin, (task,)) as executor:
             for (part, file), found in zip(missing.items(), executor.map(_work, missing)):
                 save_runs(file, found)
                 done += len(part)
@@ -340,6 +339,6 @@ def held_out_runs(seed: int, number: int, workers: int) -> Iterator[Run]:
     """Held-out runs on the default mesh, as they come."""
     task = _Task(HELD_OUT, seed)
     parts = [range(i, i + 1) for i in range(number)]
-    with ProcessPoolExecutor(workers, initializer=_begin, initargs=(task,)) as executor:
+    with worker_pool(workers, _begin, (task,)) as executor:
         for found in executor.map(_work, parts):
             yield from found

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from finger_common.errors import ModelError
-from finger_common.processes import begin_worker
+from finger_common.processes import begin_worker, worker_pool
 
 from ..fem.full_order import FullOrderModel
 from ..fem.mesh import BULK
@@ -213,9 +213,7 @@ def pool(
     workers: int, geometry: Geometry, refinement: float, friction: float, modes: np.ndarray | None
 ) -> ProcessPoolExecutor:
     """Processes that run cases."""
-    return ProcessPoolExecutor(
-        workers, initializer=_begin, initargs=(geometry, refinement, friction, modes)
-    )
+    return worker_pool(workers, _begin, (geometry, refinement, friction, modes))
 
 
 def run_all(executor: ProcessPoolExecutor, cases: list[Case]):
