@@ -99,7 +99,9 @@ def check_trials(bag: CheckedBag, result: Validation) -> None:
     reader = bag.reader
     found = split(streams, reader.info.metadata, settings, str(reader.path))
     forces = force_samples(streams, settings)
-    tare_fails = _check_tare(found, forces, streams, result)
+    turned = "" if found.trials else _other_axis(forces, streams, settings)
+    # Of a force along another axis nothing is known of the unloaded plate.
+    tare_fails = not turned and _check_tare(found, forces, streams, result)
     left_out = [e for e in found.exclusions if found.trials or e.reason != PULLED]
     unused = f"; left out: {_exclusions(left_out)}" if left_out else ""
     unused += f"; {found.unannounced}" if found.unannounced else ""
@@ -110,12 +112,8 @@ def check_trials(bag: CheckedBag, result: Validation) -> None:
         return
     if not found.trials:
         reasons = listed(dict.fromkeys(e.reason for e in found.exclusions), 3, "; ")
-        words = "; ".join(filter(None, (f"none can be used ({reasons})", found.unannounced)))
-        squares = directed(streams.wrenches.force)
-        pressed = forces["normal"].max(initial=0.0) >= settings.minimum_peak
-        if not pressed or mostly_pulls(squares, settings.axis):
-            words = "; ".join(filter(None, (words, other_axis(squares, settings.axis))))
-        result.add("trials", FAIL, words)
+        words = (f"none can be used ({reasons})", found.unannounced, turned)
+        result.add("trials", FAIL, "; ".join(filter(None, words)))
         return
     conditions = ", ".join(f"{len(found.of(c))} {c or 'unnamed'}" for c in found.conditions)
     result.add("trials", NOTE if unused else OK, f"{conditions}{unused}")
@@ -140,6 +138,15 @@ def check_trials(bag: CheckedBag, result: Validation) -> None:
             else c
             for c in result.checks
         ]
+
+
+def _other_axis(forces: np.ndarray, streams: SessionStreams, settings: TrialSettings) -> str:
+    """Sentence on a recording that presses along another axis; "" where it does not."""
+    squares = directed(streams.wrenches.force)
+    pressed = forces["normal"].max(initial=0.0) >= settings.minimum_peak
+    if pressed and not mostly_pulls(squares, settings.axis):
+        return ""
+    return other_axis(squares, settings.axis)
 
 
 def _check_tare(

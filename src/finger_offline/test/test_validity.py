@@ -112,6 +112,18 @@ def test_validate_names_the_axis_where_it_finds_no_press(tmp_path: Path) -> None
     assert trials.detail.endswith("give --normal-axis -z, or tare the force")
 
 
+def test_validate_names_the_axis_of_a_long_hold_and_not_its_tare(tmp_path: Path) -> None:
+    """A steady force that pulls looks as one that was not tared."""
+    time = np.arange(0.0, 20.0, 0.01)
+    with BagWriter(tmp_path / "bag") as bag:
+        for t, force in zip(time, np.interp(time, [2.0, 3.0, 17.0, 18.0], [0.0, 1.3, 1.3, 0.0])):
+            bag.write("wrench", wrench(START + int(1e9 * t), float(force)))
+    found = validate(tmp_path / "bag", ReadSettings(normal_axis="+z"))
+    checks = {check.name: check for check in found.checks}
+    assert checks["trials"].detail.endswith("give --normal-axis -z, or tare the force")
+    assert "tare" not in checks and not found.fit
+
+
 FULL_DISK = """
 import resource, signal, sys
 from finger_bag.cli import command
