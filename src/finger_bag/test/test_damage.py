@@ -469,9 +469,9 @@ def test_a_file_of_another_kind_is_named_with_the_remedy(
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("bits", [0x7FF0000000000001, 0xFFF0000000000000])
+@pytest.mark.parametrize("bits", [0x7FF0000000000001, 0xFFF0000000000000, 0x7FEFFFFFFFFFFFFF])
 def test_forces_that_are_no_numbers_give_no_warning(tmp_path: Path, bits: int) -> None:
-    """A NaN that signals, as flipped bits make it, and infinity."""
+    """A NaN that signals, as flipped bits make it; infinity; the largest number."""
     with BagWriter(tmp_path / "bag") as bag:
         bag.add_topic("wrench")
         for k in range(1000):

@@ -16,6 +16,9 @@ DEFAULT_NORMAL_AXIS = "-z"
 """A finger on a plate above an ATI sensor pushes the sensor down: Fz is negative under a press."""
 
 
+NO_FORCE = 1e6
+"""N, from which on a number is no force of a sensor but damaged."""
+
 _NUMBER = {axis: number for number, axis in enumerate(NORMAL_AXES)}
 
 
@@ -50,12 +53,17 @@ def lateral_force(force: np.ndarray, normal_axis: str) -> np.ndarray:
     return np.hypot(force[..., first], force[..., second])
 
 
+def usable(force: np.ndarray) -> np.ndarray:
+    """Which forces (…) in N a sensor may have given: finite ones below NO_FORCE."""
+    return np.abs(force) < NO_FORCE
+
+
 def directed(force: np.ndarray) -> np.ndarray:
     """Sum (6,) in N² of the squares of forces (n, 3) along each of NORMAL_AXES: presses outweigh
-    noise and offsets. Forces that are not finite are left out."""
-    finite = np.asarray(force, dtype=float)
-    finite = finite[np.isfinite(finite).all(axis=-1)]
-    along = np.stack([normal_force(finite, axis) for axis in NORMAL_AXES])
+    noise and offsets. Forces that are not `usable` are left out."""
+    known = np.asarray(force, dtype=float)
+    known = known[usable(known).all(axis=-1)]
+    along = np.stack([normal_force(known, axis) for axis in NORMAL_AXES])
     return (np.clip(along, 0.0, None) ** 2).sum(axis=1)
 
 
@@ -68,7 +76,7 @@ def other_axis(squares: np.ndarray, normal_axis: str) -> str:
     """Sentence on forces, `directed`, of which most lie along another axis; "" where they do
     not."""
     most = NORMAL_AXES[int(np.argmax(squares))]
-    if most == normal_axis:
+    if most == normal_axis or not squares.any():
         return ""
     return (
         f"the force acts mostly along {most}, not along normal_axis {normal_axis}: give "

@@ -293,7 +293,7 @@ def _check_indentation(found: TrialSet, result: Validation) -> None:
 
 def lone_areas(area: np.ndarray) -> np.ndarray:
     """Rows of areas (k,) that lie far above all others, and above those before and after them."""
-    known = np.nan_to_num(area)
+    known = np.nan_to_num(area, posinf=0.0)
     touching = known[known > 0.0]
     if len(touching) < FEWEST_OTHERS:
         return np.empty(0, np.int64)

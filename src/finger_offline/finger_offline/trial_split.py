@@ -22,7 +22,7 @@ from finger_bag.streams import (
     TrialEvent,
     in_stamp_order,
 )
-from finger_common.axes import lateral_force, normal_force
+from finger_common.axes import lateral_force, normal_force, usable
 from finger_common.condition_name import check_condition_name
 from finger_common.contact_threshold import LIFTOFF_FORCE, ONSET_FORCE, check_thresholds, contacts
 from finger_common.errors import InputError
@@ -113,13 +113,13 @@ _SAMPLE = np.dtype([("stamp_ns", "i8"), ("normal", "f8"), ("lateral", "f8"), ("p
 
 
 def force_samples(streams: SessionStreams, settings: ReadSettings) -> np.ndarray:
-    """Stamps and forces (n,) of the finite wrenches, in the order of their stamps; pressing: the
+    """Stamps and forces (n,) of the `usable` wrenches, in the order of their stamps; pressing: the
     normal force by which presses are told apart."""
     samples = np.empty(len(streams.wrenches.stamp_ns), _SAMPLE)
     samples["stamp_ns"] = streams.wrenches.stamp_ns
     samples["normal"] = normal_force(streams.wrenches.force, settings.axis)
     samples["lateral"] = lateral_force(streams.wrenches.force, settings.axis)
-    samples = in_stamp_order(samples[np.isfinite(samples["normal"])])
+    samples = in_stamp_order(samples[usable(samples["normal"])])
     samples["pressing"] = pressing_force(
         np.ascontiguousarray(samples["stamp_ns"]),
         np.ascontiguousarray(samples["normal"]),
@@ -201,7 +201,7 @@ def split(
 class _Recording:
     """Streams of one bag in the order of their stamps, and the presses in them.
 
-    unusable: wrenches without a finite force, which are left out.
+    unusable: wrenches without a `usable` force, which are left out.
     """
 
     def __init__(
@@ -209,7 +209,7 @@ class _Recording:
     ) -> None:
         self._metadata, self._settings, self._bag = metadata, settings, bag
         normal = normal_force(streams.wrenches.force, settings.axis)
-        self.unusable = int((~np.isfinite(normal)).sum())
+        self.unusable = int((~usable(normal)).sum())
         samples = force_samples(streams, settings)
         self.stamp_ns, self._normal, self._lateral, self.pressing = (
             np.ascontiguousarray(samples[name])

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
 from collections.abc import Callable
@@ -12,9 +13,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from session_bags import START, press_force, wrench
+from session_bags import START, press_force, wrench, write_session
 
 from finger_bag.cli import command
+from finger_bag.definitions import encode
 from finger_bag.mapping import TopicMapping
 from finger_bag.read_settings import ReadSettings
 from finger_bag.reader import open_bag
@@ -122,6 +124,29 @@ def test_validate_names_the_axis_of_a_long_hold_and_not_its_tare(tmp_path: Path)
     checks = {check.name: check for check in found.checks}
     assert checks["trials"].detail.endswith("give --normal-axis -z, or tare the force")
     assert "tare" not in checks and not found.fit
+
+
+def test_validate_names_no_axis_where_there_is_no_force(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as bag:
+        for k in range(1000):
+            bag.write("wrench", wrench(START + 2_000_000 * k, math.nan if k % 2 else 0.0))
+    (trials,) = (c for c in validate(tmp_path / "bag").checks if c.name == "trials")
+    assert trials.status == "fail" and "--normal-axis" not in trials.detail
+
+
+@pytest.mark.filterwarnings("error")
+def test_one_damaged_force_does_not_hide_a_press(tmp_path: Path) -> None:
+    path = write_session(tmp_path / "whole", trials=1)
+    with open_bag(path) as reader, BagWriter(tmp_path / "bag", {"condition": "dry"}) as bag:
+        for number, item in enumerate(reader):
+            raw = item.raw
+            if item.topic.endswith("/wrench") and number == 1000:
+                stamp = item.message.header.stamp
+                time = stamp.sec * 10**9 + stamp.nanosec
+                raw = encode(item.type, wrench(time, 1e308))
+            bag.write_raw(bag.add_topic(item.topic, item.type), raw, item.log_time_ns)
+    checks = {check.name: check for check in validate(tmp_path / "bag").checks}
+    assert "1 natural" in checks["trials"].detail and checks["units"].status == "ok"
 
 
 FULL_DISK = """

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from finger_common.axes import axis_of
+from finger_common.axes import NO_FORCE, axis_of, usable
 from finger_common.errors import InputError, listed
 from finger_common.stamps import seconds
 from finger_common.units import LARGEST_FORCE
@@ -30,9 +30,6 @@ from ..unloaded import (
 from .series import FORCE, check_length, factor_of, rows_in_order, times_of
 from .settings import ImportSettings
 from .table import Table, Times
-
-NO_FORCE = 1e6
-"""N, from which on a number of a table is damaged: no sensor gives it."""
 
 MAXIMUM_PRESSES = 1000
 """Presses of one recording; thousands are the noise of a force that was not tared."""
@@ -82,7 +79,7 @@ def read_force(
     times = times.at(keep)
     if len(times.ns) < 2:
         raise InputError(f"{table.where}: holds one row with a force; export the whole recording")
-    wild = np.flatnonzero(keep & (np.max(np.abs(columns), axis=0) > NO_FORCE))
+    wild = np.flatnonzero(keep & ~np.all(usable(np.array(columns)), axis=0))
     if len(wild):
         row = table.first_row + wild[0]
         raise InputError(
