@@ -651,8 +651,10 @@ def test_a_simulated_time_that_does_not_begin_is_told_until_it_does(
         return node.healths[0].report().message
 
     try:
-        assert "/clock" not in told(), "what publishes it may be starting"
         monkeypatch.setattr(stream_watch, "PATIENCE", 0.0)
+        assert not any("/clock" in told() for _ in range(2)), "a replay begins when it is active"
+        assert node.bring_up()
+        assert "/clock" not in told(), "what publishes it may be starting"
         assert "use_sim_time is true, and no time comes on /clock" in told()
         clock = player.create_publisher(Clock, "/clock", 10)
         second = Clock()

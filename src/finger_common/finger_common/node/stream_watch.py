@@ -29,7 +29,7 @@ OTHER_TYPE = "other_type"
 """Fault of topics whose publishers send another type than the node reads."""
 
 PATIENCE = 10.0
-"""s after which it is told that simulated time has not begun."""
+"""s for which a node is active without simulated time until it is told."""
 
 
 UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
@@ -62,7 +62,7 @@ class StreamWatch:
         self._node = node
         self._mismatches: dict[str, QoSProfile] = {}
         self._shared_since: dict[str, float] = {}
-        self._began = time.monotonic()
+        self._timeless_since: float | None = None
 
     def look(self) -> None:
         """Report what is wrong now, and end the faults that are over."""
@@ -184,14 +184,14 @@ class StreamWatch:
         self._tell("unreadable", "; ".join(texts) if recent else "", WARN)
 
     def _report_clock(self) -> None:
-        """Report a simulated time that does not begin."""
+        """Report a simulated time that does not begin; it may wait for the node to be active."""
+        now, text = time.monotonic(), ""
         simulated = self._node.get_parameter("use_sim_time").value
-        text = ""
-        if (
-            simulated
-            and time.monotonic() - self._began > PATIENCE
-            and not self._node.get_clock().now().nanoseconds
-        ):
+        if not (simulated and self._node.active) or self._node.get_clock().now().nanoseconds:
+            self._timeless_since = None
+        elif self._timeless_since is None:
+            self._timeless_since = now
+        elif now - self._timeless_since > PATIENCE:
             text = (
                 "use_sim_time is true, and no time comes on /clock: start what publishes it, or "
                 "set use_sim_time to false"
