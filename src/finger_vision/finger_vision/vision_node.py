@@ -143,6 +143,10 @@ class VisionNode(ManagedNode):
         self._areas = self.create_stream_publisher(ContactArea, "contact_area", qos)
         newest = self.stream_qos(1, publisher=True)
         self._overlays = self.create_stream_publisher(Image, "contact_image", newest)
+        self._compressed = self.values["image_transport"] == "compressed"
+        self._source = "image_raw/compressed" if self._compressed else "image_raw"
+        # Stamps alone do not tell two cameras whose clocks are apart.
+        self.expect_one_publisher(self._source)
         self.create_service(Trigger, "~/reset", self._on_reset)
         if not self.calibration.calibrated:
             self.get_logger().warning(
@@ -163,10 +167,8 @@ class VisionNode(ManagedNode):
         self._answer: Any = None
         """Client and answer of `_ask_camera`."""
         # A few images of depth, so that the node, not the middleware, drops and counts them.
-        compressed = self.values["image_transport"] == "compressed"
-        self._source = "image_raw/compressed" if compressed else "image_raw"
         self.create_stream_subscription(
-            CompressedImage if compressed else Image,
+            CompressedImage if self._compressed else Image,
             self._source,
             self._on_image,
             self.stream_qos(3),

@@ -25,6 +25,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.executors import SingleThreadedExecutor
 from sensor_msgs.msg import CompressedImage, Image
 from std_srvs.srv import Trigger
+from waiting import wait_until
 
 from finger_msgs.msg import ContactArea
 from finger_sim.ftir import FtirRenderer, Scene
@@ -399,6 +400,30 @@ def test_stamps_that_are_not_in_order_are_dropped_and_told(ros_domain: int) -> N
         assert node.health.report().values["out_of_order"] == "2"
         node.publish_diagnostics()
         assert not {"stamps", "no_stamp"} & set(node.health.faults)
+
+
+def test_two_cameras_on_a_topic_are_told_however_far_their_clocks_are_apart(
+    ros_domain: int,
+) -> None:
+    from finger_common.diagnostics import MIXED_INPUT
+
+    with node_here(ros_domain) as node:
+        assert node.bring_up()
+        cameras = [rclpy.create_node(name, context=node.context) for name in ("left", "right")]
+
+        def told() -> str:
+            node.publish_diagnostics()
+            return str(node.health.faults.get(MIXED_INPUT, ""))
+
+        cameras[0].create_publisher(Image, "image_raw", 3)
+        wait_until(lambda: node.count_publishers("image_raw") == 1, "the first camera")
+        assert not told()
+        second = cameras[1].create_publisher(Image, "image_raw", 3)
+        wait_until(lambda: "image_raw is published by /left and /right: this" in told(), "both")
+        cameras[1].destroy_publisher(second)
+        wait_until(lambda: not told(), "the first one alone")
+        for camera in cameras:
+            camera.destroy_node()
 
 
 def test_a_burst_is_answered_with_its_newest_frame_and_the_rest_is_counted(peer) -> None:
