@@ -16,10 +16,11 @@ Each setting of `AreaController` is a parameter of the node.
 
 from __future__ import annotations
 
+import argparse
 import math
 from dataclasses import dataclass, field
 
-from node_parameters import check_numbers, from_parameters
+from node_parameters import check_numbers, from_parameters, parse_arguments
 
 from finger_common.flags import StateFlag
 
@@ -147,6 +148,8 @@ class AreaController:
 
 def main() -> None:
     """Run the node."""
+    parse_arguments(argparse.ArgumentParser(description=__doc__.split("\n\n")[0]))
+
     import rclpy
     from rclpy.executors import ExternalShutdownException
     from rclpy.qos import QoSProfile, ReliabilityPolicy

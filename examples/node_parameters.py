@@ -1,17 +1,33 @@
-"""The fields of a dataclass as parameters of a node: what the example nodes share."""
+"""Arguments of a node, and the fields of a dataclass as its parameters: what the example nodes
+share."""
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import math
 import sys
 from collections.abc import Sequence
 from typing import Any, TypeVar
 
-from finger_common.cli import EXIT_BAD_INPUT
+from finger_common.cli import EXIT_BAD_INPUT, one_line
 from finger_common.errors import known_names
 
 T = TypeVar("T")
+
+
+def parse_arguments(parser: argparse.ArgumentParser) -> argparse.Namespace:
+    """The options of a node's command line. Ends the process with exit code 2 and a sentence for
+    anything that is neither of them nor, after --ros-args, of ROS."""
+    own = sys.argv
+    if "--ros-args" in own:
+        from rclpy.utilities import remove_ros_args
+
+        try:
+            own = remove_ros_args(own)
+        except RuntimeError as error:
+            parser.error(one_line(error))
+    return parser.parse_args(own[1:])
 
 
 def check_numbers(settings: Any, free: Sequence[str] = ()) -> None:

@@ -15,13 +15,15 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from node_parameters import check_numbers, from_parameters
+from node_parameters import check_numbers, from_parameters, parse_arguments
 
+from finger_common.entry import EXIT_INTERRUPTED
 from finger_common.flags import SlipFlag
 
 GRAVITY = 9.81
@@ -312,7 +314,7 @@ def simulate_loads() -> None:
         told(f"friction {friction:g}, dead time 100 ms, dither 0, unsure 1", grips)
 
 
-def run_node(arguments: list[str]) -> None:
+def run_node() -> None:
     """Answer contact_slip with grip_force until Ctrl-C."""
     import rclpy
     from rclpy.executors import ExternalShutdownException
@@ -322,7 +324,7 @@ def run_node(arguments: list[str]) -> None:
     from finger_common.stamps import header_stamp, seconds
     from finger_msgs.msg import ContactSlip
 
-    rclpy.init(args=arguments)
+    rclpy.init()
     node = rclpy.create_node("slip_grip")
     controller = from_parameters(node, SlipGrip)
     publisher = node.create_publisher(Float64, "grip_force", 1)
@@ -379,13 +381,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--node", action="store_true", help="run the ROS node")
     parser.add_argument("--loads", action="store_true", help="simulate other loads and grippers")
-    values, others = parser.parse_known_args()
+    values = parse_arguments(parser)
     if values.node:
-        run_node(others)
-    elif values.loads:
-        simulate_loads()
-    else:
-        simulate()
+        run_node()
+        return
+    if "--ros-args" in sys.argv:
+        parser.error("arguments of ROS are for the node; give --node")
+    try:
+        (simulate_loads if values.loads else simulate)()
+    except KeyboardInterrupt:
+        sys.exit(EXIT_INTERRUPTED)
 
 
 if __name__ == "__main__":

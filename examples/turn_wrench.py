@@ -15,6 +15,8 @@ from __future__ import annotations
 import argparse
 import math
 
+from node_parameters import parse_arguments
+
 
 def turned(
     vector: tuple[float, float, float], angle: float, negate: bool = False
@@ -37,7 +39,7 @@ def main() -> None:
     parser.add_argument(
         "--negate", action="store_true", help="negate force and torque: a sensor behind the finger"
     )
-    values, others = parser.parse_known_args()
+    values = parse_arguments(parser)
     if not math.isfinite(values.angle):
         parser.error(f"angle is {values.angle}, a number of degrees is needed")
 
@@ -45,7 +47,7 @@ def main() -> None:
     from geometry_msgs.msg import WrenchStamped
     from rclpy.executors import ExternalShutdownException
 
-    rclpy.init(args=others)
+    rclpy.init()
     node = rclpy.create_node("turn_wrench")
     publisher = node.create_publisher(WrenchStamped, "wrench_turned", 200)
     angle = math.radians(values.angle)

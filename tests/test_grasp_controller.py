@@ -379,6 +379,11 @@ def test_each_setting_of_an_example_is_a_parameter_of_its_node(
             ["grasp_controller.py", "--ros-args", "-p", "largest_force:=.nan"],
             "largest_force is nan",
         ),
+        (["grasp_controller.py", "target_area:=30.0e-6"], "unrecognized arguments: target_area"),
+        (["grasp_controller.py", "--ros-args", "-p", "target_area"], "target_area"),
+        (["slip_grip.py", "--nodes", "--ros-args", "-r", "__ns:=/finger"], "--nodes"),
+        (["slip_grip.py", "--ros-args", "-r", "__ns:=/finger"], "give --node"),
+        (["turn_wrench.py", "20", "--negative"], "unrecognized arguments: --negative"),
     ],
 )
 def test_a_parameter_that_an_example_cannot_use_ends_it(

@@ -3,6 +3,7 @@ and it grips little harder than it must."""
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -152,6 +153,21 @@ def test_a_force_driver_that_starts_again_untared_drops_nothing(
     grip = example.SlipGrip(force=2.0)
     found = example.hold(grip, friction, sensor=sensor, silent=(5.0, 6.2))
     assert not found.dropped and found.force_ratio < 2.5, found
+
+
+def test_ctrl_c_ends_the_simulation_quietly(
+    process: Callable[..., Any], project_root: Path
+) -> None:
+    # A shell may have started the tests with SIGINT ignored.
+    child = process(
+        "-u",
+        project_root / "examples" / "slip_grip.py",
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    wait_until(lambda: "friction" in child.output.read_text(), "the first line")
+    child.send_signal(signal.SIGINT)
+    assert child.wait(60.0) == 130
+    assert "Traceback" not in child.output.read_text()
 
 
 def test_the_node_holds_its_force_while_no_state_comes(
