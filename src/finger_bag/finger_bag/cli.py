@@ -183,7 +183,8 @@ def _play(args: argparse.Namespace) -> int:
             topics = [t for t in named if t not in without]
         for topic in reader.info.topics if topics is None else topics:
             full_name(topic)
-        lateness = play(reader, settings_from(args, PlaySettings), topics)
+        awaited = [_topic(reader, t) for t in args.awaited or ()]
+        lateness = play(reader, settings_from(args, PlaySettings), topics, awaited)
         problems, lost = reader.all_problems(), reader.lost
     print(lateness_text(lateness))
     return _report(problems, lost)
@@ -321,6 +322,13 @@ def parser() -> argparse.ArgumentParser:
     add_settings(show.add_argument_group("how it is played"), PlaySettings)
     show.add_argument("--topics", nargs="+", metavar="TOPIC", help="play these topics only")
     show.add_argument("--exclude", nargs="+", metavar="TOPIC", help="leave out these topics")
+    show.add_argument(
+        "--await",
+        dest="awaited",
+        nargs="+",
+        metavar="TOPIC",
+        help="begin when somebody listens to these topics",
+    )
 
     record = command(
         "record",

@@ -13,13 +13,14 @@ process` repeats the recorded states, bit for bit.
 from __future__ import annotations
 
 import contextlib
+import math
 import signal
 import sys
 import textwrap
 import threading
 import time
 from array import array
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import rclpy
@@ -30,7 +31,7 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from finger_common.cli import one_line, plain
-from finger_common.errors import InputError
+from finger_common.errors import InputError, listed
 from finger_common.files import parse_yaml
 from finger_common.node import begin_ros
 from finger_common.stamps import fill_time
@@ -43,6 +44,9 @@ from .replay import Pause, PlaySettings, replay
 
 CLOCK_TICK = 0.005
 """s between /clock messages: what a timer of a node in the bag's time may be late."""
+
+TELL_AFTER = 5.0
+"""s without a subscriber of an awaited topic after which it is said."""
 
 STREAM_DEPTH, IMAGE_DEPTH = 2000, 50
 """Messages kept for a reader that has fallen behind."""
@@ -70,13 +74,16 @@ def play(
     reader: BagReader,
     settings: PlaySettings,
     topics: Sequence[str] | None = None,
+    awaited: Sequence[str] = (),
 ) -> Collection[float]:
     """Publish a bag until its end, Ctrl-C or SIGTERM; gives how late (s) each message was.
 
     The keys of `pause_keys` and the services of `_served` pause it.
 
     topics: absolute names, None for all. Topics whose type is not installed are left out with a
-    line on standard error. Raises InputError when nothing can be played.
+    line on standard error. awaited: those of them that must have a subscriber before it begins: on
+    a busy machine the middleware takes seconds to connect. Raises InputError when nothing can be
+    played, and for an awaited topic that is not.
     """
     begin_ros([])
     on_sigterm = signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -95,6 +102,7 @@ def play(
 
         tick = CLOCK_TICK if settings.clock else 0.05
         lateness = array("f")
+        _await_subscribers(reader, {name: pair[0] for name, pair in publishers.items()}, awaited)
         time.sleep(settings.wait)
         pause = Pause()
         with contextlib.suppress(KeyboardInterrupt), pause_keys(pause), _served(node, pause):
@@ -111,6 +119,21 @@ def play(
     finally:
         signal.signal(signal.SIGTERM, on_sigterm)
         rclpy.try_shutdown()
+
+
+def _await_subscribers(
+    reader: BagReader, publishers: Mapping[str, Any], awaited: Sequence[str]
+) -> None:
+    """Return when each awaited topic has a subscriber, and say it where none comes."""
+    for name in awaited:
+        if name not in publishers:
+            raise InputError(f"{reader.path}: topic '{plain(name)}' is awaited, but not played")
+    told = time.monotonic() + TELL_AFTER
+    while unheard := [name for name in awaited if not publishers[name].get_subscription_count()]:
+        if time.monotonic() > told:
+            told = math.inf
+            print(f"finger-bag: nobody listens to {listed(unheard)} yet", file=sys.stderr)
+        time.sleep(0.05)
 
 
 @contextlib.contextmanager

@@ -361,6 +361,37 @@ sys.exit(run(command, ["play", sys.argv[1], "--wait", "0"]))
 """
 
 
+def test_a_replay_awaits_those_who_are_to_hear_its_first_message(
+    short: Path, ros_domain: int, process: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("rclpy")
+    import rclpy
+    from geometry_msgs.msg import WrenchStamped
+
+    with open_bag(short) as reader:
+        sent = [m.raw for m in reader.messages(["/finger/wrench"])]
+    options = "--await", "wrench", "--wait", "0.5"
+    player = process("-u", "-m", "finger_bag.cli", "play", str(short), *options)
+    said = "nobody listens to /finger/wrench yet"
+    wait_until(lambda: said in player.output.read_text(), said)
+    rclpy.init(domain_id=ros_domain)
+    node = rclpy.create_node("observer")
+    received: list[bytes] = []
+    try:
+        node.create_subscription(WrenchStamped, "/finger/wrench", received.append, 1000, raw=True)
+        wait_until(
+            lambda: len(received) == len(sent) > 0,
+            "the bag from its first message on",
+            spin=lambda: rclpy.spin_once(node, timeout_sec=0.05),
+        )
+        assert player.wait(60) == 0
+    finally:
+        node.destroy_node()
+        rclpy.shutdown()
+    assert run(command, ["play", str(short), "--await", "moisture"]) == EXIT_BAD_INPUT
+    assert "'moisture' is not in the bag" in capsys.readouterr().err
+
+
 def test_a_clock_outside_the_times_of_messages_ends_the_player(
     short: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
