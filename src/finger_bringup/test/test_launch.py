@@ -10,6 +10,7 @@ import itertools
 import json
 import os
 import re
+import runpy
 import signal
 import subprocess
 import sys
@@ -152,7 +153,7 @@ def test_launch_files_and_finger_rig_run_the_same_nodes_with_the_same_parameters
     entries = nodes.rig(tmp_path, simulated=True)
     launched = [a for a in node_actions(context, entries) if isinstance(a, Node)]
     specs = nodes.process_specs(entries, tmp_path, parameter_file=ParameterFile(own))
-    modules = [spec.command[2] for spec in specs]
+    modules = [spec.command[3] for spec in specs]
     assert [f"{a.node_package}.{a.node_executable}" for a in launched] == modules
     written = yaml.safe_load((tmp_path / nodes.OWN_PARAMETERS).read_text())
     for action, entry in zip(launched, entries):
@@ -185,6 +186,50 @@ def test_the_log_level_is_that_of_composed_nodes_too() -> None:
     levels = [word for word, before in zip(command[1:], command) if before == "--log-level"]
     # Whoever waits for all nodes to be active reads it in the log.
     assert levels == ["warn", "hand.bring_up:=info"]
+
+
+@pytest.mark.parametrize(
+    ("code", "end", "words"),
+    [
+        (0, "true", ""),
+        (0, "false", ""),
+        (1, "true", "not all of the bag could be played"),
+        (1, "false", ""),
+        (2, "true", "the bag could not be played"),
+        (2, "false", "the bag could not be played"),
+    ],
+)
+def test_the_end_of_a_replay_says_how_much_was_played(
+    launch_folder: Path, project_root: Path, code: int, end: str, words: str
+) -> None:
+    from launch import LaunchContext
+    from launch.actions import DeclareLaunchArgument, ExecuteProcess, RegisterEventHandler
+    from launch.events.process import ProcessExited, ProcessIO
+
+    from finger_bringup.bring_up import ALL_ACTIVE
+
+    module = runpy.run_path(str(launch_folder / "replay.launch.py"))
+    context = LaunchContext()
+    for argument in module["generate_launch_description"]().entities:
+        if isinstance(argument, DeclareLaunchArgument):
+            argument.visit(context)
+    context.launch_configurations.update(bag=str(project_root / "bags" / "dry"), end=end)
+    handlers = [
+        action.event_handler
+        for action in module["replay"](context)
+        if isinstance(action, RegisterEventHandler)
+    ]
+    about: dict[str, Any] = dict(name="", cmd=[], cwd=None, env=None, pid=1)
+    started = ProcessIO(action=None, text=ALL_ACTIVE.encode(), fd=1, **about)
+    (player,) = handlers[0].handle(started, context)
+    assert isinstance(player, ExecuteProcess)
+    ended = ProcessExited(action=player, returncode=code, **about)
+    assert handlers[1].matches(ended)
+    if words:
+        with pytest.raises(RuntimeError, match=words):
+            handlers[1].handle(ended, context)
+    else:
+        assert bool(handlers[1].handle(ended, context)) == (end == "true")
 
 
 @pytest.mark.slow
@@ -221,7 +266,10 @@ def test_restarts_are_delayed_as_in_finger_rig(
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
+        (("replay.launch.py",), "no bag is given"),
         (("replay.launch.py", "bag:=missing"), "no such bag"),
+        (("replay.launch.py", "bag:=.", "rate:=fast"), "rate:=fast is no number"),
+        (("replay.launch.py", "bag:=.", "rate:=0"), "'rate' is 0.0, outside"),
         (("fit.launch.py", "bags:=missing"), "no such bag"),
         (("grasp.launch.py", "parameters:=missing.yaml"), "missing.yaml"),
         (("rig.launch.py", "record:=perhaps"), "give true or false"),

@@ -439,12 +439,45 @@ def test_a_replay_has_areas_whatever_the_images_of_the_bag(
         replay_of(tmp_path / "none", vision=True)
     with BagWriter(tmp_path / "raw") as bag:
         bag.attach("plate_calibration.yaml", b"a: 1")
-        for topic in ("image_raw", "contact_area"):
+        for topic in ("image_raw", "contact_area", "wrench"):
             bag.write(topic, {"header": {"stamp": 10**18}})
     measured = replay_of(tmp_path / "raw")
-    assert measured.nodes == ("vision", "model") and measured.topics == ("/finger/image_raw",)
+    assert measured.nodes == ("vision", "model")
+    assert measured.topics == ("/finger/image_raw", "/finger/wrench")
+    assert set(measured.heard) == set(measured.topics)
     assert measured.calibration == b"a: 1" and measured.image_transport == "raw"
     assert replay_of(tmp_path / "raw", vision=False).nodes == ("model",)
+
+
+def test_a_replay_runs_in_the_namespace_of_the_bag_and_is_refused_where_nothing_is_heard(
+    tmp_path: Path,
+) -> None:
+    def bag_of(name: str, *topics: str) -> Path:
+        with BagWriter(tmp_path / name) as bag:
+            for topic in topics:
+                bag.write(topic, {"header": {"stamp": 10**18}})
+        return tmp_path / name
+
+    thumb = bag_of("thumb", "/thumb/wrench", "/thumb/contact_area")
+    assert replay_of(thumb).namespace == "/thumb" == replay_of(thumb, namespace="thumb").namespace
+    assert replay_of(bag_of("global", "/wrench")).namespace == "/"
+    with pytest.raises(InputError, match=r"no 'wrench' in namespace '/finger'.* /thumb/wrench"):
+        replay_of(thumb, namespace="finger")
+    hand = bag_of("hand", "/hand/index/wrench", "/hand/thumb/wrench", "/hand/thumb/image_raw")
+    with pytest.raises(InputError, match="several fingers, /hand/index, /hand/thumb"):
+        replay_of(hand)
+    assert replay_of(hand, namespace="hand/index").nodes == ("model",)
+    assert replay_of(hand, namespace="hand/thumb").nodes == ("vision", "model")
+    pictures = bag_of("pictures", "/thumb/image_raw/compressed")
+    with pytest.raises(InputError, match=r"no 'wrench'.*vision:=true measures its images"):
+        replay_of(pictures)
+    measured = replay_of(pictures, vision=True)
+    assert (measured.namespace, measured.heard) == ("/thumb", ("/thumb/image_raw/compressed",))
+    with pytest.raises(InputError, match="no 'wrench'"):
+        replay_of(bag_of("empty"))
+    # A parameter file may name another vendor's topic.
+    robot = bag_of("robot", "/wrist/wrench")
+    assert replay_of(robot, namespace="robot", wrench="/wrist/wrench").namespace == "/robot"
 
 
 def test_fingers_run_side_by_side_each_in_its_namespace(tmp_path: Path) -> None:

@@ -69,6 +69,14 @@ def truth(context: LaunchContext, name: str) -> bool:
     return text == "true"
 
 
+def number(context: LaunchContext, name: str) -> float:
+    """Value of an argument that is a number; raises InputError for anything else."""
+    try:
+        return float(value(context, name))
+    except ValueError:
+        raise InputError(f"{name}:={value(context, name)} is no number; give one") from None
+
+
 def composed(context: LaunchContext) -> bool:
     """Whether the nodes run in one process, by COMPOSE; raises InputError where its arguments
     contradict each other."""
@@ -82,6 +90,11 @@ def path(context: LaunchContext, name: str) -> Path:
     return user_path(value(context, name)).absolute()
 
 
+def parameter_file(context: LaunchContext) -> ParameterFile:
+    """The user's parameter file."""
+    return ParameterFile(path(context, "parameters") if value(context, "parameters") else None)
+
+
 def node_actions(
     context: LaunchContext, entries: Iterable[nodes.NodeEntry], compose: bool = False
 ) -> list[Action]:
@@ -91,7 +104,7 @@ def node_actions(
     """
     respawn, level = truth(context, "respawn"), value(context, "log_level")
     suite = value(context, "namespace")
-    file = ParameterFile(path(context, "parameters") if value(context, "parameters") else None)
+    file = parameter_file(context)
     entries = nodes.settled(entries, suite, file)
     doubts = (nodes.without_effect, nodes.shared_sensors)
     files = [] if file.path is None else [str(file.path)]
