@@ -41,6 +41,7 @@ from .pause_keys import pause_keys
 from .reader import BagReader
 from .recorder_node import message_class
 from .replay import Pause, PlaySettings, replay
+from .schema import spec_of
 
 CLOCK_TICK = 0.005
 """s between /clock messages: what a timer of a node in the bag's time may be late."""
@@ -52,9 +53,11 @@ STREAM_DEPTH, IMAGE_DEPTH = 2000, 50
 """Messages kept for a reader that has fallen behind."""
 
 
-def qos_of(text: str, reliability: str, depth: int = STREAM_DEPTH) -> QoSProfile:
-    """Quality of service to play a topic with: latched if it was recorded so, and reliable, which
-    every reader hears, unless `reliability` asks for best effort on streams."""
+def qos_of(
+    text: str, reliability: str, depth: int = STREAM_DEPTH, latched: bool = False
+) -> QoSProfile:
+    """Quality of service to play a topic with: latched if it was recorded so or is to be, and
+    reliable, which every reader hears, unless `reliability` asks for best effort on streams."""
     profile = QoSProfile(
         depth=depth, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE
     )
@@ -63,7 +66,7 @@ def qos_of(text: str, reliability: str, depth: int = STREAM_DEPTH) -> QoSProfile
         stored = parse_yaml("profiles:\n" + textwrap.indent(text, " "), "QoS")["profiles"][0]
     stored = stored if isinstance(stored, dict) else {}
     # rosbag2 writes numbers up to metadata version 8 and names from 9 on.
-    if str(stored.get("durability")).lower() in ("1", "transient_local"):
+    if latched or str(stored.get("durability")).lower() in ("1", "transient_local"):
         profile.durability = DurabilityPolicy.TRANSIENT_LOCAL
     elif reliability == "best_effort":
         profile.reliability = ReliabilityPolicy.BEST_EFFORT
@@ -193,7 +196,12 @@ def _publishers(
             print(f"finger-bag: topic '{plain(name)}' is not played: {reason}", file=sys.stderr)
             continue
         depth = IMAGE_DEPTH if "Image" in topic.type else STREAM_DEPTH
-        publisher = node.create_publisher(kind, name, qos_of(topic.qos, reliability, depth))
+        # The recorder hears readings of the probe as volatile ones, and stores them so, though the
+        # probe's node latches them and the model node wants it.
+        spec = spec_of(name)
+        latched = spec is not None and spec.rate is None
+        qos = qos_of(topic.qos, reliability, depth, latched)
+        publisher = node.create_publisher(kind, name, qos)
         found[name] = (publisher, topic.type)
     if not found:
         raise InputError(f"{reader.path}: no topic to play; check --topics")

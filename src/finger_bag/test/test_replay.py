@@ -392,6 +392,33 @@ def test_a_replay_awaits_those_who_are_to_hear_its_first_message(
     assert "'moisture' is not in the bag" in capsys.readouterr().err
 
 
+def test_readings_of_the_probe_are_latched_as_its_node_has_them(
+    tmp_path: Path, ros_domain: int, process: Any
+) -> None:
+    pytest.importorskip("rclpy")
+    import rclpy
+
+    from finger_common.node import LATCHED_QOS
+    from finger_msgs.msg import Moisture
+
+    with BagWriter(tmp_path / "probed") as bag:
+        bag.write("moisture", {"header": {"stamp": START}, "value": 40.0})
+    rclpy.init(domain_id=ros_domain)
+    node = rclpy.create_node("observer")
+    received: list[Any] = []
+    try:
+        node.create_subscription(Moisture, "/finger/moisture", received.append, LATCHED_QOS)
+        options = "--wait", "0", "--await", "moisture"
+        player = process("-m", "finger_bag.cli", "play", str(tmp_path / "probed"), *options)
+        spin = partial(rclpy.spin_once, node, timeout_sec=0.05)
+        wait_until(lambda: received, "the reading", spin=spin)
+        assert received[0].value == 40.0
+        assert player.wait(60) == 0 and "incompatible QoS" not in player.output.read_text()
+    finally:
+        node.destroy_node()
+        rclpy.shutdown()
+
+
 def test_a_clock_outside_the_times_of_messages_ends_the_player(
     short: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
