@@ -15,9 +15,10 @@ Rules of input, all by the stamps the samples carry (int, ns), never by when the
   a duplicate and is dropped; one older than that is out of order, is dropped and flags the next
   estimate. One older by more than `time_reset_after`, or later by more than `FUTURE`, waits for
   the next sample: when that is later, by no more than `LONGEST_GAP`, both are processed, and after
-  a step back the state is reset before; otherwise the stamp was wrong, and the sample that waits
-  is dropped as out of order. A force that is not finite gives an estimate flagged invalid
-  and leaves the state; the next valid sample bridges it.
+  a step back the state is reset before. Otherwise, and where the next one goes on from before the
+  step back, the stamp was wrong, and the sample that waits is dropped as out of order. A force that
+  is not finite gives an estimate flagged invalid and leaves the state; the next valid sample
+  bridges it.
 - **Areas and moisture readings** stamped t enter at the first wrench sample stamped t +
   `fusion_delay` or later. One that is handed over after such a sample is not used, is counted and
   flags the next estimate. A reading in a contact of which an area was measured moves the model at
@@ -394,8 +395,10 @@ class ContactEstimator:
         waiting, self._waiting = self._waiting, None
         if waiting is not None:
             ahead = stamp_ns - waiting[0]
-            if 0 < ahead <= LONGEST_GAP * NANOSECONDS:
-                if waiting[0] < newest:
+            back = waiting[0] < newest
+            goes_on = 0 < stamp_ns - newest <= FUTURE * NANOSECONDS
+            if 0 < ahead <= LONGEST_GAP * NANOSECONDS and not (back and goes_on):
+                if back:
                     self.counters["resets"] += 1
                     self._jump_back(waiting[0])
                 return [waiting, (stamp_ns, force)]
