@@ -434,3 +434,9 @@ def test_streams_of_the_lab_streaming_layer_make_a_bag_fit_for_use(tmp_path: Pat
     check_trials(bag, 1e-4)
     # The clock of the file, not that of the import.
     assert load_start(bag) == pytest.approx(1795348800 * 10**9, abs=10**9)
+
+
+def test_a_packed_table_is_to_be_unpacked(tmp_path: Path) -> None:
+    (tmp_path / "force.csv.gz").touch()
+    with pytest.raises(InputError, match=r"force.csv.gz: no table of a known kind; unpack it"):
+        read_table(str(tmp_path / "force.csv.gz"))

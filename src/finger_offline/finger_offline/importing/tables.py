@@ -61,6 +61,8 @@ def read_table(name: str) -> Table:
         remedy = f"give a file of one of {known}"
         if path.suffix.lower() in OTHER_WORKBOOKS:
             remedy = "save it as .xlsx or .csv"
+        elif path.suffix.lower() in PACKED:
+            remedy = "unpack it"
         raise InputError(f"{file}: no table of a known kind; {remedy}")
     size = path.stat().st_size
     with bounded_memory(path):
@@ -209,6 +211,9 @@ def _read_parquet(path: Path, part: str) -> Table:
 
 OTHER_WORKBOOKS = (".xls", ".xlsb", ".ods", ".numbers")
 """Workbooks that are not read."""
+
+PACKED = (".gz", ".zip", ".bz2", ".xz", ".zst", ".7z")
+"""Endings of packed files, which are not read."""
 
 READERS: dict[str, Callable[[Path, str], Table]] = {
     **dict.fromkeys((".csv", ".tsv", ".txt", ".dat", ".asc", ".lvm"), _read_text),
