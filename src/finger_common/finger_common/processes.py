@@ -11,7 +11,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any
 
@@ -63,16 +63,44 @@ def begin_worker() -> None:
     threading.Thread(target=wait, name="parent", daemon=True).start()
 
 
+class _Workers(ProcessPoolExecutor):
+    """Processes that do not run the script which starts them, so that it needs no main guard."""
+
+    def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        with _without_main():  # processes are started here
+            return super().submit(function, *args, **kwargs)
+
+
 def worker_pool(
-    workers: int, initializer: Callable[..., object] = begin_worker, arguments: Sequence[Any] = ()
+    workers: int,
+    initializer: Callable[..., object] = begin_worker,
+    arguments: Sequence[Any] = (),
+    *,
+    needs_main: bool = False,
 ) -> ProcessPoolExecutor:
     """Processes for work of one's own, started anew: a fork of a process whose libraries run
     threads can deadlock.
 
-    initializer: of each process; it calls `begin_worker`.
+    initializer: of each process; it calls `begin_worker`. needs_main: whether the work has classes
+    or functions of the script that starts them. Then its code must be under a main guard.
     """
+    kind = ProcessPoolExecutor if needs_main else _Workers
     spawn = multiprocessing.get_context("spawn")
-    return ProcessPoolExecutor(workers, spawn, initializer=initializer, initargs=tuple(arguments))
+    return kind(workers, spawn, initializer=initializer, initargs=tuple(arguments))
+
+
+@contextmanager
+def _without_main() -> Iterator[None]:
+    """Processes started meanwhile do not run the main script again."""
+    main = sys.modules["__main__"]
+    names = [name for name in ("__file__", "__spec__") if name in vars(main)]
+    hidden = [(name, vars(main).pop(name)) for name in names]
+    main.__spec__ = None
+    try:
+        yield
+    finally:
+        for name, value in hidden:
+            setattr(main, name, value)
 
 
 @contextmanager

@@ -9,21 +9,18 @@ on where they were computed.
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import pickle
 import signal
-import sys
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 from finger_common.errors import FingerError, InputError
-from finger_common.processes import begin_worker
+from finger_common.processes import begin_worker, worker_pool
 
 Work = Callable[[Any, Any], Any]
 Done = Callable[[int, int], None]
@@ -75,8 +72,6 @@ class LocalEngine:
         workers = min(self._processes, len(items))
         if workers < 2:
             return self.map(function, shared, items, done)
-        # Forking a process whose kernels run threads can deadlock.
-        context = multiprocessing.get_context("spawn")
         results = []
         job = pickle.dumps((function, shared))
         _begin(done, items)
@@ -84,13 +79,9 @@ class LocalEngine:
             # In a file: a worker that ends before it has read it must not block this process.
             path = Path(folder) / "job.pickle"
             path.write_bytes(job)
-            with ProcessPoolExecutor(
-                workers, context, initializer=_set_job, initargs=(path,)
-            ) as pool:
+            with worker_pool(workers, _set_job, (path,), needs_main=b"__main__" in job) as pool:
                 try:
-                    with nullcontext() if b"__main__" in job else _without_main():
-                        found = pool.map(_run_job, items)  # starts the processes
-                    for number, result in enumerate(found, 1):
+                    for number, result in enumerate(pool.map(_run_job, items), 1):
                         results.append(result)
                         if done is not None:
                             done(number, len(items))
@@ -111,21 +102,6 @@ class LocalEngine:
 
 _job: tuple[Work, Any] | None = None
 """Function and shared data of a worker process of `LocalEngine.spread`."""
-
-
-@contextmanager
-def _without_main() -> Iterator[None]:
-    """Processes started meanwhile do not run the caller's script again, which need not be written
-    for that."""
-    main = sys.modules["__main__"]
-    names = [name for name in ("__file__", "__spec__") if name in vars(main)]
-    hidden = [(name, vars(main).pop(name)) for name in names]
-    main.__spec__ = None
-    try:
-        yield
-    finally:
-        for name, value in hidden:
-            setattr(main, name, value)
 
 
 def _set_job(path: Path) -> None:
