@@ -78,6 +78,7 @@ td.c{font-weight:600;padding-left:.5em} .note{color:#555;font-size:.92em} figure
 figure.narrow img{max-width:68%} td{white-space:nowrap}
 td small{display:block;color:#555;white-space:nowrap}
 @media screen{table{display:block;overflow-x:auto}}
+@media screen and (max-width:60em){table{font-size:.86em} th,td{padding:.28em .4em}}
 @page{size:A4;margin:16mm 14mm 18mm}
 @media print{
  body{margin:0;padding:0;max-width:none;font-size:9.5pt;line-height:1.4}
