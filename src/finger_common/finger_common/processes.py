@@ -54,7 +54,8 @@ def begin_worker() -> None:
     if parent is None:
         return
     for number in (signal.SIGTERM, signal.SIGHUP):  # a fork took the parent's handlers over
-        signal.signal(number, signal.SIG_DFL)
+        if signal.getsignal(number) != signal.SIG_IGN:  # as under nohup
+            signal.signal(number, signal.SIG_DFL)
 
     def wait() -> None:
         parent.join()

@@ -113,6 +113,15 @@ def test_a_script_that_uses_a_pool_needs_no_main_guard(tmp_path: Path) -> None:
     assert done.stdout == "[1, 2]\n" and not done.stderr
 
 
+def test_a_closed_terminal_ends_no_worker_under_nohup() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with worker_pool(1) as pool:
+            assert pool.submit(signal.getsignal, signal.SIGHUP).result() == signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
 def test_threads_side_by_side_leave_linear_algebra_as_it_was() -> None:
     with threadpool_limits(2):
         before = count_threads(0)
