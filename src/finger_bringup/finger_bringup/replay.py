@@ -22,9 +22,8 @@ PUBLISHED_AGAIN = ("contact_state", "contact_slip", "contact_shape", "model_even
 @dataclass(frozen=True)
 class Replay:
     """nodes: names, in order. topics: to be played. heard: those that the nodes must listen to from
-    the first message on. namespace: of the nodes, "/" for none.
-    image_transport: how the images come that are measured again. calibration: of the plate, as it
-    is attached to their bag."""
+    the first message on. namespace: of the nodes, "/" for none. image_transport: how the images
+    come that are measured again. calibration: of the plate, as it is attached to their bag."""
 
     nodes: tuple[str, ...]
     topics: tuple[str, ...]
@@ -42,6 +41,7 @@ def replay_of(
     vision: whether to measure areas in its images again; None where it holds raw ones. namespace:
     of the finger, empty for the only one of the bag, "/" for none. wrench: topic that the model
     node reads.
+
     Raises InputError for a bag that cannot be read or of which no node would hear anything, for one
     of several fingers of which none is named, and for one whose images are to be measured and that
     holds none.
