@@ -202,7 +202,9 @@ def test_who_ran_a_supervisor_to_its_end_still_has_its_signal_handlers() -> None
 def test_a_second_signal_does_not_cut_the_end_of_the_processes_short(
     second: signal.Signals,
 ) -> None:
-    code = "import time\ntry:\n    print('alive', flush=True)\n    time.sleep(60)\n"
+    # Short sleeps: a signal just before a sleep is seen when the sleep ends.
+    code = "import time\ntry:\n    print('alive', flush=True)\n"
+    code += "    for _ in range(6000):\n        time.sleep(0.01)\n"
     code += "except KeyboardInterrupt:\n    print('ends', flush=True)\n    time.sleep(0.5)\n"
     code += "    print('done', flush=True)"
     log = Log()
