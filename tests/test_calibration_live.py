@@ -126,7 +126,13 @@ def start_model(rig: Rig, process: Callable[..., Any], folder: Path) -> Any:
     return child
 
 
-@pytest.mark.parametrize("calipers", [{}, {"finger_width": 0.014, "finger_depth": 0.010}])
+@pytest.mark.parametrize(
+    "calipers",
+    [
+        pytest.param({}, marks=pytest.mark.slow),
+        {"finger_width": 0.014, "finger_depth": 0.010},
+    ],
+)
 def test_the_model_node_calibrates_the_subject_of_the_trials(
     rig: Rig, process: Callable[..., Any], tmp_path: Path, calipers: dict[str, float]
 ) -> None:

@@ -305,6 +305,7 @@ def test_contrasts_of_few_presses_are_as_wide_as_their_intervals(
     assert width == pytest.approx(2.0 * np.quantile(np.abs(drawn), 0.95), rel=0.15)
 
 
+@pytest.mark.slow
 def test_estimates_on_a_bound_are_not_compared(double: SimpleNamespace, tmp_path: Path) -> None:
     """Both held at the same bound, they would be equal for certain."""
     soft = np.array([80e3, 15e3, 0.2, 1000e3])
@@ -381,6 +382,7 @@ def test_predicted_areas_are_corrected_to_full_order(double: SimpleNamespace, re
     np.testing.assert_allclose(np.log(ratio), 0.02 + 0.01 * np.log(force[4:]), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_cluster_fits_each_subject_as_this_machine_does(double: SimpleNamespace) -> None:
     distributed = pytest.importorskip("distributed")
     trials = [
@@ -664,6 +666,7 @@ def test_help_does_not_wait_for_imports_that_only_a_fit_needs() -> None:
     subprocess.run([sys.executable, "-c", code], check=True, stdout=subprocess.DEVNULL)
 
 
+@pytest.mark.slow
 def test_a_parameter_that_may_be_zero_is_fitted_with_intervals(tmp_path: Path) -> None:
     """Stiffening of 0, as of the tissue here, has no logarithm: its coordinate is ln(b + 0.1)."""
     tissue = law_of("generalized_maxwell_1")(

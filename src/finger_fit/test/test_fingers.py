@@ -144,6 +144,7 @@ def two_subjects() -> tuple[list[Trial], dict[str, Geometry]]:
     return [p for s, g in sizes.items() for p in presses_of(g, 3, subject=s)], sizes
 
 
+@pytest.mark.slow
 def test_each_subject_has_its_own_finger(
     two_subjects: tuple[list[Trial], dict[str, Geometry]], tmp_path: Path
 ) -> None:

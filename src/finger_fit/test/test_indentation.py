@@ -124,6 +124,7 @@ def settled(
     return problem, at, found.fit.cost, covariance(problem, at)
 
 
+@pytest.mark.slow
 def test_the_finger_of_the_paper_is_recovered_better_than_without() -> None:
     """By the reduced model, with all nuisances: E0 and E1, and intervals that hold the truth."""
     model = ReducedModel.load()

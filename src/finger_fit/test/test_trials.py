@@ -464,6 +464,7 @@ def test_a_press_after_a_short_rest_remembers_the_presses_before(double: SimpleN
     assert not any(len(t.drive.before_time) for t in prepare_all(separate, options, memory)[0])
 
 
+@pytest.mark.slow
 def test_tissue_of_branches_remembers_for_its_creep_time() -> None:
     """Of tissue that relaxes by 85 % in 2 s at constant strain, strain creeps for 13 s: 13.5 s of
     rest do not end it. Its area at the largest force would be 9 % larger after a rest of a day."""

@@ -88,7 +88,10 @@ def test_prescribed_position_is_the_inverse_of_prescribed_force(model):
     assert by_position.state.radius == 0.0
 
 
-@pytest.mark.parametrize(("tissue", "excess"), [((80e3, 25.4e3), 0.05), ((150e3, 15e3), 0.16)])
+@pytest.mark.parametrize(
+    ("tissue", "excess"),
+    [pytest.param((80e3, 25.4e3), 0.05, marks=pytest.mark.slow), ((150e3, 15e3), 0.16)],
+)
 def test_rows_of_a_given_position_are_steps_where_tissue_creeps(model, tissue, excess):
     """As docs/theory.md says of 0.8 mm in 1 ms, held to 0.5 s."""
     E0, E1 = tissue
@@ -247,7 +250,7 @@ def test_the_peak_pressure_of_a_first_touch_is_that_of_hertz(model):
     assert np.all((ratio > 1.25) & (ratio < 1.6)), ratio.round(2)
 
 
-@pytest.mark.parametrize("skin", [0.5e-3, 0.9e-3])
+@pytest.mark.parametrize("skin", [pytest.param(0.5e-3, marks=pytest.mark.slow), 0.9e-3])
 def test_the_peak_pressure_does_not_depend_on_the_mesh(skin):
     # At least 1.5 times the mean pressure was given up to twelve nodes, 0.4 N on a stiff finger
     # with thick skin: a third too much, and a jump behind them.

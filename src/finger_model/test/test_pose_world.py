@@ -227,6 +227,7 @@ def presses_of_people(number, tilt, place_sd, unknown, longest=1.3):
     return table[:, :2], table[:, 2], table[:, 3].astype(int)
 
 
+@pytest.mark.slow
 def test_a_finger_of_unknown_lengths_is_within_its_deviations():
     """Errors were 1.3 and 1.4 deviations (RMS), and 30 % of the tilts without a flag were more than
     3° wrong."""

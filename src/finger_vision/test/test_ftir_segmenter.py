@@ -986,7 +986,13 @@ def bordered(image: np.ndarray, wide: int, tilt: float, grey: int) -> np.ndarray
 
 
 @pytest.mark.parametrize(
-    "wide, tilt, grey", [(1, 0.0, 0), (6, 0.0, 40), (20, 1.5, 0), (60, 3.0, 15)]
+    "wide, tilt, grey",
+    [
+        (1, 0.0, 0),
+        pytest.param(6, 0.0, 40, marks=pytest.mark.slow),
+        pytest.param(20, 1.5, 0, marks=pytest.mark.slow),
+        (60, 3.0, 15),
+    ],
 )
 @pytest.mark.parametrize("bright", [False, True])
 def test_a_dark_border_around_a_plate_that_was_not_learned_is_no_skin(
@@ -1055,7 +1061,9 @@ def whole_frames() -> list[tuple[FtirRenderer, list[np.ndarray], RenderedFrame]]
     return rows
 
 
-@pytest.mark.parametrize("times", [2, 3, 4, 6])
+@pytest.mark.parametrize(
+    "times", [2, *(pytest.param(n, marks=pytest.mark.slow) for n in (3, 4)), 6]
+)
 def test_coarse_pixels_do_not_widen_the_area(whole_frames, times: int) -> None:
     """Pixels of 63 to 188 µm: 16 to 5.3 a mm."""
     size = 1280 // times, 1024 // times

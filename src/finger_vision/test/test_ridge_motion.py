@@ -141,12 +141,15 @@ def test_travel_of_a_slide(step: float) -> None:
 
 @pytest.mark.parametrize(
     ("moves", "step", "held"),
-    [(True, 0.02e-3, 0), (True, 0.1e-3, 3), (False, 0.02e-3, 3), (False, 0.1e-3, 0)],
-    ids=[
-        "slow, contact moves, from first touch",
-        "fast, contact moves, held before",
-        "slow, skin alone moves, held before",
-        "fast, skin alone moves, from first touch",
+    [
+        pytest.param(True, 0.02e-3, 0, id="slow, contact moves, from first touch"),
+        pytest.param(
+            True, 0.1e-3, 3, id="fast, contact moves, held before", marks=pytest.mark.slow
+        ),
+        pytest.param(
+            False, 0.02e-3, 3, id="slow, skin alone moves, held before", marks=pytest.mark.slow
+        ),
+        pytest.param(False, 0.1e-3, 0, id="fast, skin alone moves, from first touch"),
     ],
 )
 def test_a_steady_slide_is_flagged_throughout(moves: bool, step: float, held: int) -> None:
