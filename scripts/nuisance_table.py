@@ -28,11 +28,9 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import multiprocessing
 import pickle
 import sys
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import cache
@@ -46,6 +44,7 @@ from doc_tables import replace_between
 from scipy.optimize import brentq
 
 from finger_common.files import atomic_write
+from finger_common.processes import worker_pool
 from finger_common.usable_press import TYPICAL_AREA_NOISE
 from finger_fit.engine import LocalEngine
 from finger_fit.full_order import FullOrder, correct
@@ -520,11 +519,10 @@ def run(folder: Path, seeds: int, wanted: Sequence[str], processes: int) -> list
     rows: list[dict[str, Any]] = json.loads(path.read_text()) if path.exists() else []
     known = {(row["case"], row["seed"]) for row in rows}
     jobs = [(c, s, folder) for s in range(seeds) for c in cases if (c, s) not in known]
-    context = multiprocessing.get_context("spawn")
     with ExitStack() as stack:
         each: Callable[..., Any] = map
         if processes > 1:
-            each = stack.enter_context(ProcessPoolExecutor(processes, context)).map
+            each = stack.enter_context(worker_pool(processes, needs_main=True)).map
         for count, row in enumerate(each(_job, jobs), 1):
             rows.append(row)
             print(

@@ -19,10 +19,8 @@ from __future__ import annotations
 
 import argparse
 import json
-import multiprocessing
 import sys
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -33,6 +31,7 @@ from scipy.optimize import minimize
 
 from finger_common.files import atomic_write
 from finger_common.flags import StateFlag
+from finger_common.processes import worker_pool
 from finger_common.usable_press import TYPICAL_AREA_NOISE
 from finger_model.estimator import ContactEstimator
 from finger_model.estimator.area_filter import TISSUE
@@ -545,7 +544,6 @@ def main() -> int:
         print(yaml.safe_dump({"prior": derive_prior(args.seed, args.fingers).to_dict()}))
         return 0
     results = {}
-    spawn = multiprocessing.get_context("spawn")
     for name, number, full in (
         ("population", args.fingers, False),
         ("full order", args.full_order, True),
@@ -553,7 +551,7 @@ def main() -> int:
         if not number:
             continue
         if args.workers > 1:
-            with ProcessPoolExecutor(args.workers, spawn) as pool:
+            with worker_pool(args.workers, needs_main=True) as pool:
                 scores = list(pool.map(partial(score, args.seed, full), range(number)))
         else:
             scores = [score(args.seed, full, index) for index in range(number)]

@@ -17,10 +17,10 @@ import argparse
 import csv
 import json
 import math
+import os
 import time
 from collections import defaultdict
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from itertools import repeat
 from pathlib import Path
@@ -30,6 +30,7 @@ from pose_networks import Contacts, Network
 
 from finger_common.files import atomic_write
 from finger_common.flags import ShapeFlag
+from finger_common.processes import worker_pool
 from finger_model.estimator import ContactEstimate
 from finger_model.estimator.estimate import ESTIMATE_FIELDS
 from finger_model.geometry import Geometry
@@ -162,7 +163,7 @@ def learn(linear: Contacts, truth: Contacts, seed: int) -> list[np.ndarray]:
 def learn_all(linear: Contacts, truths: list[Contacts]) -> list[list[np.ndarray]]:
     """Stacked layers of NETWORKS networks for each truth."""
     tasks = [(truth, seed) for truth in truths for seed in range(NETWORKS)]
-    with ProcessPoolExecutor() as pool:
+    with worker_pool(os.cpu_count() or 1, needs_main=True) as pool:
         found = list(pool.map(learn, repeat(linear), *zip(*tasks, strict=True)))
     return [
         [np.array(layer) for layer in zip(*found[k : k + NETWORKS], strict=True)]

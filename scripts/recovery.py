@@ -26,12 +26,10 @@ from __future__ import annotations
 
 import argparse
 import json
-import multiprocessing
 import pickle
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -43,6 +41,7 @@ import numpy as np
 from scipy.interpolate import RBFInterpolator
 
 from finger_common.files import atomic_write
+from finger_common.processes import worker_pool
 from finger_common.usable_press import TYPICAL_AREA_NOISE
 from finger_fit.engine import LocalEngine
 from finger_fit.full_order import FullOrder, correct, correction_around
@@ -106,8 +105,7 @@ Presses = dict[str, list[StudyTrial]]
 
 def spread(work: Callable[[Any], Any], jobs: Sequence[Any], what: str) -> Iterable[Any]:
     """Results of work(job) in order, in two processes, with progress."""
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(2, len(jobs)), context) as workers:
+    with worker_pool(min(2, len(jobs)), needs_main=True) as workers:
         for count, result in enumerate(workers.map(work, jobs), 1):
             print(f"\r{what}: {count}/{len(jobs)}", end="", file=sys.stderr, flush=True)
             yield result

@@ -11,12 +11,11 @@ simulated finger.
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
 import os
 import shutil
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +24,7 @@ from rich.console import Console
 from finger_bringup.nodes import OWN_PARAMETERS
 from finger_common.cli import Parser, run
 from finger_common.errors import FingerError, InputError
+from finger_common.processes import begin_worker, worker_pool
 from finger_fit.cli import Screen
 
 from .report import print_summary, write_report
@@ -76,6 +76,7 @@ def parser() -> Parser:
 def _begin_worker() -> None:
     import signal
 
+    begin_worker()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # Live nodes come first.
     os.nice(10)
@@ -136,8 +137,7 @@ class Demo:
         self._show_recorded()
         target = self.result.folder / "processed"
         start = time.monotonic()
-        context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(1, mp_context=context, initializer=_begin_worker) as pool:
+        with worker_pool(1, _begin_worker) as pool:
             futures: list[Future[Any]] = []
 
             def replay_next(bag: Path) -> None:
