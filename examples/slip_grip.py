@@ -33,6 +33,14 @@ SAFE = 0.15
 LET_GO = 0.5
 """s of states without a known slip after which an object counts as let go."""
 
+EMPTY = 0.1
+"""N; a force below it, either way, is that of an empty grip. One that is further below zero is of
+another tare."""
+
+ANOTHER_TARE = 0.2
+"""s without a state after which the sensor may have another zero, at which a held object shows no
+force."""
+
 STALE_AFTER = 0.05
 """s without a contact_slip after which the node repeats its force."""
 
@@ -56,7 +64,9 @@ class SlipGrip:
     guess is taken lower.
 
     `force` is the force to grip with (N); it begins with the first one measured (NaN), for an
-    object that is held already. Raises ValueError for settings that cannot be.
+    object that is held already. Once an object was let go it is the one given here again, or else
+    `smallest`, so that no large force waits for the next touch. Raises ValueError for settings that
+    cannot be.
     """
 
     margin: float = 0.2
@@ -80,6 +90,8 @@ class SlipGrip:
     _alarmed: float = field(default=-math.inf, init=False)
     _reflex: float = field(default=0.0, init=False)
     _known: float = field(default=-math.inf, init=False)
+    _open_since: float = field(default=math.inf, init=False)
+    _zero_known: bool = field(default=False, init=False)
     _kept: float = field(default=0.0, init=False)
     _tried: float = field(default=SAFE, init=False)
     _ratio: float = field(default=SAFE, init=False)
@@ -91,6 +103,7 @@ class SlipGrip:
             raise ValueError(f"margin is {self.margin:g}, a number from 0 to below 1 is needed")
         if self.smallest > self.largest:
             raise ValueError(f"smallest, {self.smallest:g}, is above largest, {self.largest:g}")
+        self._first = self.smallest if math.isnan(self.force) else self.force
 
     def on_slip(
         self,
@@ -116,15 +129,24 @@ class SlipGrip:
         if stamp < before:
             # The clock went back.
             self._alarmed, self._known = -math.inf, min(self._known, stamp)
+            self._open_since = math.inf
         elapsed = min(max(stamp - before, 0.0), self.largest_step)
+        if stamp - before > ANOTHER_TARE:
+            self._zero_known = False
         if flags & SlipFlag.FORCE_INVALID or math.isnan(probability + slip_margin):
+            empty = flags & SlipFlag.NO_CONTACT and abs(normal) < EMPTY
+            self._open_since = min(self._open_since, stamp) if empty else math.inf
+            if self._zero_known and stamp - self._open_since > LET_GO:
+                self.force = self._first
             return self.force
+        self._open_since = math.inf
         if math.isnan(self.force):
             self.force = min(max(normal, self.smallest), self.largest)
         if before - self._known > LET_GO:
             self._kept, self._tried, self._ratio = 0.0, SAFE, SAFE
         self._known = stamp
         guess, doubted = bool(flags & SlipFlag.FRICTION_ASSUMED), margin_sd >= 1.0
+        self._zero_known = not doubted
         # |Q|: the margin is the mean over all frictions that may be, whose spread makes it smaller.
         spread = 1.0 + (friction_sd / friction) ** 2
         load = (1.0 - slip_margin) * friction * normal / spread
@@ -330,7 +352,7 @@ def run_node() -> None:
     publisher = node.create_publisher(Float64, "grip_force", 1)
     # A steady clock: what is stale must not depend on a clock that may stop or be set.
     steady = rclpy.clock.Clock(clock_type=rclpy.clock.ClockType.STEADY_TIME)
-    received, stale = steady.now(), False
+    received, stale, doubted = steady.now(), False, False
 
     def watch() -> None:
         """Hold the force while nothing comes: a gripper that hears nothing may let go."""
@@ -345,12 +367,25 @@ def run_node() -> None:
         if not math.isnan(force):
             publisher.publish(Float64(data=force))
 
+    def tell_doubt(force: float, begins: bool) -> None:
+        log, why = node.get_logger(), "the zero of the force is in doubt (FORCE_OFFSET)"
+        if begins and doubted:
+            log.warning(
+                f"begins with {force:.2f} N as measured, but {why}: if more holds the object, give "
+                "it as the parameter 'force'"
+            )
+        elif doubted:
+            log.warning(f"does not loosen its grip of {force:.2f} N: {why}")
+        else:
+            log.info("the zero of the force is not in doubt any more")
+
     def on_slip(state: ContactSlip) -> None:
-        nonlocal received, stale
+        nonlocal received, stale, doubted
         received = steady.now()
         if stale:
             stale = False
             node.get_logger().info("contact_slip comes")
+        begins = math.isnan(controller.force)
         force = controller.on_slip(
             seconds(header_stamp(state)),
             state.normal_force,
@@ -361,6 +396,9 @@ def run_node() -> None:
             state.flags,
             state.slip_margin_stddev,
         )
+        if not math.isnan(state.slip_margin) and (state.slip_margin_stddev >= 1.0) != doubted:
+            doubted = not doubted
+            tell_doubt(force, begins)
         if not math.isnan(force):
             publisher.publish(Float64(data=force))
 

@@ -4,7 +4,7 @@ and it grips little harder than it must."""
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +13,14 @@ import pytest
 from waiting import wait_until
 
 from finger_common.flags import SlipFlag
+from finger_common.stamps import fill_time
+
+EXAMPLE = "examples/slip_grip.py"
 
 
 @pytest.fixture(scope="module")
 def example(module_of: Callable[[str], Any]) -> Any:
-    return module_of("examples/slip_grip.py")
+    return module_of(EXAMPLE)
 
 
 def test_an_object_that_gets_heavier_is_held_whatever_its_friction(example: Any) -> None:
@@ -120,6 +123,62 @@ def test_a_light_object_after_a_heavy_one_is_gripped_lightly(example: Any) -> No
         assert least <= force < most
 
 
+@pytest.mark.parametrize(("given", "next_force"), [(float("nan"), 0.3), (1.5, 1.5)])
+def test_no_large_force_waits_for_the_next_object(
+    example: Any, given: float, next_force: float
+) -> None:
+    grip, at = held_heavy(example, given)
+    heavy = grip.force
+    assert heavy > 4.0
+    assert empty_grip(grip, at, 0.4) == heavy
+    assert empty_grip(grip, at + 0.4, 0.2) == next_force
+
+
+@pytest.mark.parametrize(
+    ("pause", "normal", "flags"),
+    [
+        (1.2, 0.0, SlipFlag.NO_CONTACT),  # a driver that began anew, whose zero cancels the force
+        (0.0, -1.0, SlipFlag.NO_CONTACT),  # another tare
+        (0.0, float("nan"), SlipFlag.FORCE_INVALID | SlipFlag.NO_CONTACT),
+    ],
+)
+def test_a_sensor_whose_zero_may_be_another_one_lets_go_of_nothing(
+    example: Any, pause: float, normal: float, flags: SlipFlag
+) -> None:
+    grip, at = held_heavy(example)
+    heavy = grip.force
+    assert empty_grip(grip, at + pause, 5.0, normal, flags) == heavy
+
+
+def test_a_grip_that_starts_without_a_contact_commands_nothing(example: Any) -> None:
+    """The object may be held at another zero of the force."""
+    assert np.isnan(empty_grip(example.SlipGrip(), 0.0, 5.0))
+
+
+def held_heavy(example: Any, force: float = float("nan")) -> tuple[Any, float]:
+    """A grip that holds an object with more than 4 N, and the time (s)."""
+    grip = example.SlipGrip(force=force)
+    for i in range(500):
+        grip.on_slip(i * 0.002, 4.0, 0.2, 0.5, 0.01, 0.0, 0)
+    return grip, 1.0
+
+
+def empty_grip(
+    grip: Any,
+    at: float,
+    duration: float,
+    normal: float = 0.0,
+    flags: SlipFlag = SlipFlag.NO_CONTACT,
+) -> float:
+    """Force after states without contact from `at` on."""
+    unknown = float("nan")
+    for i in range(round(duration / 0.002)):
+        probability = unknown if flags & SlipFlag.FORCE_INVALID else 0.0
+        stamp = at + i * 0.002
+        force = grip.on_slip(stamp, normal, unknown, 0.5, 0.01, probability, int(flags), unknown)
+    return force
+
+
 def test_a_load_that_swings_slides_little(example: Any) -> None:
     """By 30 %, as in the hand of a robot that walks; the friction is not known at first."""
     slid = []
@@ -155,6 +214,26 @@ def test_a_force_driver_that_starts_again_untared_drops_nothing(
     assert not found.dropped and found.force_ratio < 2.5, found
 
 
+@pytest.mark.parametrize("friction", [0.25, 1.0])
+def test_a_controller_that_starts_in_such_a_contact_with_its_force_drops_nothing(
+    example: Any, friction: float
+) -> None:
+    class StartsAgain:
+        grip = example.SlipGrip(force=2.0)
+        again = False
+
+        def on_slip(self, stamp: float, *state: float) -> float:
+            if stamp > 5.0 and not self.again:
+                self.again, self.grip = True, example.SlipGrip(force=self.grip.force)
+            return self.grip.on_slip(stamp, *state)
+
+    def sensor(time: float, wrench: list[float]) -> list[float]:
+        return [*wrench[:2], wrench[2] + (1.6 if time > 5.0 else 0.0)]
+
+    found = example.hold(StartsAgain(), friction, sensor=sensor, silent=(5.0, 6.2))
+    assert not found.dropped and found.slid < 0.002, found
+
+
 def test_ctrl_c_ends_the_simulation_quietly(
     process: Callable[..., Any], project_root: Path
 ) -> None:
@@ -170,46 +249,70 @@ def test_ctrl_c_ends_the_simulation_quietly(
     assert "Traceback" not in child.output.read_text()
 
 
-def test_the_node_holds_its_force_while_no_state_comes(
-    ros_domain: int, process: Callable[..., Any], project_root: Path
-) -> None:
+class Peer:
+    """Publishes contact_slip to the node of the example and hears its commands."""
+
+    def __init__(self, rclpy: Any) -> None:
+        from std_msgs.msg import Float64
+
+        from finger_msgs.msg import ContactSlip
+
+        self.rclpy = rclpy
+        self.node = node = rclpy.create_node("peer")
+        self.commands: list[float] = []
+        node.create_subscription(
+            Float64, "/finger/grip_force", lambda m: self.commands.append(m.data), 10
+        )
+        self.publisher = node.create_publisher(ContactSlip, "/finger/contact_slip", 10)
+        self.state = ContactSlip(
+            normal_force=2.0, slip_margin=0.2, friction=0.5, friction_stddev=0.01
+        )
+        self.sent = 0
+
+    def send(self) -> None:
+        self.sent += 1
+        fill_time(self.state.header.stamp, 10**18 + self.sent * 2_000_000)
+        self.publisher.publish(self.state)
+        self.receive()
+
+    def receive(self) -> None:
+        self.rclpy.spin_once(self.node, timeout_sec=0.01)
+
+
+@pytest.fixture
+def peer(ros_domain: int) -> Iterator[Peer]:
     rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
-    from std_msgs.msg import Float64
-
-    from finger_common.stamps import fill_time
-    from finger_msgs.msg import ContactSlip
-
     rclpy.init()
-    node = rclpy.create_node("peer")
-    commands: list[float] = []
-    node.create_subscription(Float64, "/finger/grip_force", lambda m: commands.append(m.data), 10)
-    publisher = node.create_publisher(ContactSlip, "/finger/contact_slip", 10)
-    state = ContactSlip(normal_force=2.0, slip_margin=0.2, friction=0.5, friction_stddev=0.01)
-    sent = 0
+    peer = Peer(rclpy)
+    yield peer
+    peer.node.destroy_node()
+    rclpy.try_shutdown()
 
-    def send() -> None:
-        nonlocal sent
-        sent += 1
-        fill_time(state.header.stamp, 10**18 + sent * 2_000_000)
-        publisher.publish(state)
-        rclpy.spin_once(node, timeout_sec=0.01)
 
-    def receive() -> None:
-        rclpy.spin_once(node, timeout_sec=0.01)
+def test_the_node_holds_its_force_while_no_state_comes(
+    peer: Peer, process: Callable[..., Any], project_root: Path
+) -> None:
+    commands = peer.commands
+    child = process(project_root / EXAMPLE, "--node", "--ros-args", "-r", "__ns:=/finger")
+    wait_until(lambda: len(commands) > 10, "an answer", spin=peer.send)
+    said = "holding 2.0"
+    wait_until(lambda: said in child.output.read_text(), said, spin=peer.receive)
+    held = len(commands)
+    wait_until(lambda: len(commands) > held + 20, "the force again and again", spin=peer.receive)
+    assert len(set(commands[held:])) == 1 and commands[-1] == pytest.approx(2.0, abs=0.1)
+    wait_until(lambda: "contact_slip comes" in child.output.read_text(), "its end", spin=peer.send)
 
-    try:
-        example = project_root / "examples" / "slip_grip.py"
-        child = process(example, "--node", "--ros-args", "-r", "__ns:=/finger")
-        wait_until(lambda: len(commands) > 10, "an answer", spin=send)
-        said = "holding 2.0"
-        wait_until(lambda: said in child.output.read_text(), said, spin=receive)
-        held = len(commands)
-        wait_until(lambda: len(commands) > held + 20, "the force again and again", spin=receive)
-        assert len(set(commands[held:])) == 1 and commands[-1] == pytest.approx(2.0, abs=0.1)
-        wait_until(lambda: "contact_slip comes" in child.output.read_text(), "its end", spin=send)
-    finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
+
+def test_the_node_says_that_the_force_it_begins_with_is_in_doubt(
+    peer: Peer, process: Callable[..., Any], project_root: Path
+) -> None:
+    peer.state.slip_margin_stddev = 1.0
+    child = process(project_root / EXAMPLE, "--node", "--ros-args", "-r", "__ns:=/finger")
+    said = "begins with 2.00 N as measured, but the zero of the force is in doubt"
+    wait_until(lambda: said in child.output.read_text(), said, spin=peer.send)
+    peer.state.slip_margin_stddev = 0.1
+    said = "not in doubt any more"
+    wait_until(lambda: said in child.output.read_text(), said, spin=peer.send)
 
 
 @pytest.mark.parametrize("margin", [1.0, -0.1, 20.0, float("nan")])
