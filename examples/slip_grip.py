@@ -34,12 +34,11 @@ LET_GO = 0.5
 """s of states without a known slip after which an object counts as let go."""
 
 EMPTY = 0.1
-"""N; a force below it, either way, is that of an empty grip. One that is further below zero is of
-another tare."""
+"""N; a force below it, either way, is that of an empty grip."""
 
-ANOTHER_TARE = 0.2
-"""s without a state after which the sensor may have another zero, at which a held object shows no
-force."""
+RELEASED = 0.2
+"""Share of the commanded force below which a contact ends that is let go. A force that is gone from
+one sample to the next is that of another zero: the object is still held."""
 
 STALE_AFTER = 0.05
 """s without a contact_slip after which the node repeats its force."""
@@ -91,7 +90,7 @@ class SlipGrip:
     _reflex: float = field(default=0.0, init=False)
     _known: float = field(default=-math.inf, init=False)
     _open_since: float = field(default=math.inf, init=False)
-    _zero_known: bool = field(default=False, init=False)
+    _released: bool = field(default=False, init=False)
     _kept: float = field(default=0.0, init=False)
     _tried: float = field(default=SAFE, init=False)
     _ratio: float = field(default=SAFE, init=False)
@@ -131,12 +130,10 @@ class SlipGrip:
             self._alarmed, self._known = -math.inf, min(self._known, stamp)
             self._open_since = math.inf
         elapsed = min(max(stamp - before, 0.0), self.largest_step)
-        if stamp - before > ANOTHER_TARE:
-            self._zero_known = False
         if flags & SlipFlag.FORCE_INVALID or math.isnan(probability + slip_margin):
             empty = flags & SlipFlag.NO_CONTACT and abs(normal) < EMPTY
             self._open_since = min(self._open_since, stamp) if empty else math.inf
-            if self._zero_known and stamp - self._open_since > LET_GO:
+            if self._released and stamp - self._open_since > LET_GO:
                 self.force = self._first
             return self.force
         self._open_since = math.inf
@@ -146,7 +143,7 @@ class SlipGrip:
             self._kept, self._tried, self._ratio = 0.0, SAFE, SAFE
         self._known = stamp
         guess, doubted = bool(flags & SlipFlag.FRICTION_ASSUMED), margin_sd >= 1.0
-        self._zero_known = not doubted
+        self._released = not doubted and normal < RELEASED * self.force
         # |Q|: the margin is the mean over all frictions that may be, whose spread makes it smaller.
         spread = 1.0 + (friction_sd / friction) ** 2
         load = (1.0 - slip_margin) * friction * normal / spread

@@ -130,24 +130,39 @@ def test_no_large_force_waits_for_the_next_object(
     grip, at = held_heavy(example, given)
     heavy = grip.force
     assert heavy > 4.0
-    assert empty_grip(grip, at, 0.4) == heavy
+    for normal in np.geomspace(4.0, 0.06, 20):
+        at += 0.002
+        grip.on_slip(at, normal, 0.2, 0.5, 0.01, 0.0, 0)
+    held = grip.force
+    assert held > 3.9
+    assert empty_grip(grip, at, 0.4) == held
     assert empty_grip(grip, at + 0.4, 0.2) == next_force
 
 
 @pytest.mark.parametrize(
     ("pause", "normal", "flags"),
     [
+        (0.0, 0.0, SlipFlag.NO_CONTACT),  # a tare, another axis
         (1.2, 0.0, SlipFlag.NO_CONTACT),  # a driver that began anew, whose zero cancels the force
-        (0.0, -1.0, SlipFlag.NO_CONTACT),  # another tare
+        (0.0, -1.0, SlipFlag.NO_CONTACT),
         (0.0, float("nan"), SlipFlag.FORCE_INVALID | SlipFlag.NO_CONTACT),
     ],
 )
-def test_a_sensor_whose_zero_may_be_another_one_lets_go_of_nothing(
+def test_a_force_that_is_gone_at_once_is_another_zero_and_lets_go_of_nothing(
     example: Any, pause: float, normal: float, flags: SlipFlag
 ) -> None:
     grip, at = held_heavy(example)
     heavy = grip.force
     assert empty_grip(grip, at + pause, 5.0, normal, flags) == heavy
+
+
+def test_a_contact_in_doubt_lets_go_of_nothing(example: Any) -> None:
+    """Its force may be too small by the zero."""
+    grip, at = held_heavy(example)
+    grip.on_slip(at, 0.06, 0.2, 0.5, 0.01, 0.0, 0, 1.0)
+    heavy = grip.force
+    assert heavy > 4.0
+    assert empty_grip(grip, at, 5.0) == heavy
 
 
 def test_a_grip_that_starts_without_a_contact_commands_nothing(example: Any) -> None:
