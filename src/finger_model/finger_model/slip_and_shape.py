@@ -14,6 +14,7 @@ is enough to repeat them.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -112,8 +113,10 @@ class SlipAndShape:
     def see_area(self, stamp_ns: int, stick: tuple[float, float], outline: MeasuredOutline) -> None:
         """Take what a picture shows beside an area that the estimator uses: the stick ratio with
         its standard deviation, and the outline; NaN where they are not known."""
-        if self._slip is not None:
+        if self._slip is not None and math.isfinite(stick[0]):
             self._slip.expect_stick_ratio(stamp_ns, *stick)
+        elif self._slip is not None:
+            self._slip.expect_lost_sight(stamp_ns)
         if self._pose is not None:
             self._pose.expect_outline(stamp_ns, outline)
 

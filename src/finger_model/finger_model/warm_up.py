@@ -34,6 +34,7 @@ def warm_up(estimator: ContactEstimator) -> None:
     """Run everything that streams, services and changes use once; spoils the estimator's state."""
     slip_and_shape = SlipAndShape(estimator, SlipSettings(), PoseSettings())
     slip_and_shape.see_area(0, (0.5, 0.1), NO_OUTLINE)
+    slip_and_shape.see_area(1, (np.nan, np.nan), NO_OUTLINE)
     estimator.reset()
     for stamp_ns in range(1, 3):
         for estimate in estimator.add_wrench(stamp_ns * 10**9, (0.0, 0.0, 0.0)):

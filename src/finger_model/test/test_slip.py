@@ -22,9 +22,11 @@ from finger_model.geometry import Geometry
 from finger_model.material import Material
 from finger_model.paper import NATURAL
 from finger_model.reduced import ReducedModel
+from finger_model.shape.estimate import NO_OUTLINE
 from finger_model.slip import SlipEstimator, SlipSettings, backbone, elements
 from finger_model.slip.estimate import slip_estimates
 from finger_model.slip.pull import pull_history
+from finger_model.slip_and_shape import SlipAndShape
 from finger_model.verification.cases import CALCULIX_FINGER, elastic
 
 RATE = 500.0
@@ -350,6 +352,48 @@ def test_stick_ratios_enter_by_their_stamps_whenever_they_come():
     blind = SlipEstimator().add_block(block, forces)
     assert repr(slip_estimates(blind)[:390]) == repr(single[:390])
     assert single[-1].friction < 0.85 * blind["friction"][-1], "seen slip says: slippery"
+
+
+@pytest.mark.parametrize("gap", ["none", "in the air", "under load"])
+def test_what_slipped_while_the_camera_was_away_does_not_count_as_sticking(gap: str) -> None:
+    """It follows the skin anew then, and sees nothing slip: a load is held."""
+    contact = ContactEstimator(ReducedModel.load())
+    beside = SlipAndShape(contact, SlipSettings(), None)
+    anew = {"none": -1, "in the air": 0, "under load": 816}[gap]
+    for k in range(1500):
+        stamp = 10**15 + 2_000_000 * k
+        normal, pull = min(1.0, k / 250), 0.3 * min(1.0, max(0.0, k - 300) / 500)
+        seen = 0.98 if gap == "under load" else float(backbone.stick_ratio(pull / 0.5))
+        if k == anew:
+            beside.see_area(stamp, (math.nan, math.nan), NO_OUTLINE)
+        elif k > max(anew, 300) and k % 16 == 0:
+            beside.see_area(stamp, (seen, 0.05), NO_OUTLINE)
+        force = (pull, 0.0, -normal)
+        for estimate in contact.add_wrench(stamp, force):
+            state, _ = beside.process(estimate, force, (0.0, 0.0, 0.0))
+    assert state is not None
+    assert state.slip_margin == pytest.approx(0.4, abs=2.0 * state.slip_margin_stddev)
+    if gap == "under load":
+        assert state.friction_stddev > 0.15, "as without a camera"
+    else:
+        assert state.friction == pytest.approx(0.5, rel=0.1)
+
+
+def test_a_ratio_after_a_gap_of_the_camera_still_says_what_has_slipped() -> None:
+    """At most as much sticks as it saw stick."""
+    found = {}
+    for seen in (False, True):
+        contact, slip = ContactEstimator(ReducedModel.load()), SlipEstimator()
+        for k in range(1200):
+            stamp = 10**15 + 2_000_000 * k
+            normal, pull = min(1.0, k / 250), 0.2 * min(1.0, max(0.0, k - 300) / 500)
+            if k == 816:
+                slip.expect_lost_sight(stamp)
+            if seen and k > 816 and k % 16 == 0:
+                slip.expect_stick_ratio(stamp, 0.2, 0.05)
+            for estimate in contact.add_wrench(stamp, (pull, 0.0, -normal)):
+                found[seen] = slip.add(estimate, (pull, 0.0, -normal)).friction
+    assert found[True] < 0.6 * found[False]
 
 
 SHEAR = (

@@ -237,10 +237,22 @@ class SlipEstimator:
         if math.isfinite(stick_ratio):
             self.sticks.add(stamp_ns, (stick_ratio, sd))
 
+    def expect_lost_sight(self, stamp_ns: int) -> None:
+        """A picture of this stamp, in which no skin was followed, as in the first one after a pause
+        of the camera.
+
+        What has slipped before is not known then: if there was a load, later stick ratios of the
+        contact are the most that may stick. It takes effect as `expect_stick_ratio`.
+        """
+        self.sticks.add(stamp_ns, (math.nan, math.nan))
+
     def _see_due(self, stamp_ns: int) -> None:
         """Use the stick ratios that are due at a sample of this stamp."""
-        for seen_at, stick in self.sticks.due(stamp_ns):
-            self.add_stick_ratio(seen_at, *stick)
+        for seen_at, (ratio, sd) in self.sticks.due(stamp_ns):
+            if math.isnan(ratio):
+                kernels.lose_sight(self._state[0], seen_at)
+            else:
+                self.add_stick_ratio(seen_at, ratio, sd)
 
     def _begin_anew(self, stamp_ns: int) -> None:
         """Time jumped back to a stamp."""

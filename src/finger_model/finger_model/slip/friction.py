@@ -17,6 +17,7 @@ There are three kinds of evidence:
   below μ. The likelihood of a friction is a mixture of both.
 - *A stick ratio seen by a camera* (`update_from_stick_ratio`), s ± σ in a first pull at known
   forces: s = s(ρ), ρ = r/μ or, where a part of Q came with P (`elements`), (r − c/P)/(μ − c/P).
+  After a gap of the camera under load s is the most that sticks.
 """
 
 from __future__ import annotations
@@ -487,15 +488,17 @@ def _first_stick(beyond, with_load, friction):
 
 
 @njit(cache=True)
-def update_from_stick_ratio(friction, beyond, with_load, stick, sd):
+def update_from_stick_ratio(friction, beyond, with_load, stick, sd, at_most):
     """Update from a stick ratio ± sd that was seen in a first pull, in the direction of
-    `directional`, at these `elements.shares`."""
+    `directional`, at these `elements.shares`. at_most: less than that may stick."""
     spread = math.hypot(sd, 0.04)
     belief, directional = friction.belief, friction.directional
     belief.has_evidence, directional.valid = True, False
     likelihood = np.empty(GRID)
     for g in range(GRID):
         z = (_first_stick(beyond, with_load, math.exp(LOG_FRICTION[g])) - stick) / spread
+        if at_most:
+            z = max(z, 0.0)
         likelihood[g] = (math.exp(-0.5 * z * z) + 1e-3) ** FRAME_SHARE
     _update(belief, directional.along[0], directional.along[1], likelihood, 0.0)
 

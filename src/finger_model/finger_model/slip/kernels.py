@@ -32,6 +32,8 @@ TURNED = 0.85
 DIP, DIP_NOISE = 0.1, 6.0
 """Of P, and of its noise: how far P must fall before it is said to grow again. Else every swing of
 a load that is held would count."""
+UNSEEN = 0.05
+"""|Q − c|/P up to which no skin slips: a camera that follows it from there on misses nothing."""
 FRAMES, NEXT_RATIO = 20, 0.05
 """Frames of a pull that count until r has grown by NEXT_RATIO: more of them err as these do."""
 SMALLEST_FORCE = 0.05
@@ -70,6 +72,7 @@ PULL = np.dtype(
         ("largest", "f8"),  # ratio
         ("turned", "?"),  # r has fallen since the pull began: s(r) does not hold
         ("counted", "?"),  # its slip
+        ("unseen", "?"),  # under load the camera followed no skin: what slipped then is not known
         ("frames", "i8"),  # stick ratios seen since r was `frames_ratio`
         ("frames_ratio", "f8"),
     ],
@@ -116,7 +119,7 @@ def _begin_contact(config, state, stamp, normal, q0, q1):
     plateau.begin_contact(state.plateau)
     pull = state.pull
     pull.largest = pull.frames_ratio = 0.0
-    pull.turned = pull.counted = False
+    pull.turned = pull.counted = pull.unseen = False
     pull.frames = 0
 
 
@@ -359,23 +362,39 @@ def process_sample(config, state, sample, out):
 
 
 @njit(cache=True)
-def update_from_stick_ratio(state, stamp, stick, sd):
-    """Update from a stick ratio ± sd that was seen at a stamp (ns); whether it told something."""
-    memory, pull = state.memory, state.pull
+def _remembered(memory, stamp):
+    """Place of the newest sample up to a stamp (ns), -1 where none is remembered."""
     for back in range(min(memory.next, REMEMBERED)):
         at = (memory.next - 1 - back) % REMEMBERED
         if memory.stamp[at] <= stamp:
-            beyond, with_load = memory.beyond[at], memory.with_load[at]
-            if not beyond > 0.03:
-                return False
-            if beyond > pull.frames_ratio + NEXT_RATIO:
-                pull.frames, pull.frames_ratio = 0, beyond
-            pull.frames += 1
-            if pull.frames > FRAMES:
-                return False
-            friction.update_from_stick_ratio(state.friction, beyond, with_load, stick, sd)
-            return True
-    return False
+            return at
+    return -1
+
+
+@njit(cache=True)
+def update_from_stick_ratio(state, stamp, stick, sd):
+    """Update from a stick ratio ± sd that was seen at a stamp (ns); whether it told something."""
+    memory, pull = state.memory, state.pull
+    at = _remembered(memory, stamp)
+    if at < 0 or not memory.beyond[at] > 0.03:
+        return False
+    beyond, with_load = memory.beyond[at], memory.with_load[at]
+    if beyond > pull.frames_ratio + NEXT_RATIO:
+        pull.frames, pull.frames_ratio = 0, beyond
+    pull.frames += 1
+    if pull.frames > FRAMES:
+        return False
+    friction.update_from_stick_ratio(state.friction, beyond, with_load, stick, sd, pull.unseen)
+    return True
+
+
+@njit(cache=True)
+def lose_sight(state, stamp):
+    """A picture of this stamp (ns) in which no skin was followed: from then on a stick ratio counts
+    only what slips later."""
+    at = _remembered(state.memory, stamp)
+    if at >= 0 and state.memory.beyond[at] > UNSEEN:
+        state.pull.unseen = True
 
 
 @njit(cache=True)
