@@ -396,6 +396,31 @@ def test_a_ratio_after_a_gap_of_the_camera_still_says_what_has_slipped() -> None
     assert found[True] < 0.6 * found[False]
 
 
+@pytest.mark.parametrize("settled", [False, True])
+def test_a_force_of_another_zero_is_told_without_a_contact_too(settled: bool) -> None:
+    """With slips that were seen, nothing else would say that a thing may be held."""
+    estimator = SlipEstimator(SlipSettings(tangential_noise=0.005))
+    if settled:
+        _, normal, lateral, _ = slipping(3, 0.9)
+        run(estimator, *noisy(normal, lateral))
+    n = 10
+    stamps = 20 * 10**9 + 2_000_000 * np.arange(n, dtype=np.int64)
+    for doubted in (False, True):
+        rows = estimator.add_many(
+            stamps,
+            np.zeros(n),
+            np.zeros((n, 2)),
+            np.zeros(n, bool),
+            np.zeros(n),
+            doubted=np.full(n, doubted),
+        )
+        stamps += 10**8
+        wanted = SlipFlag.NO_CONTACT
+        if doubted or not settled:
+            wanted |= SlipFlag.FRICTION_ASSUMED
+        assert (rows["flags"] == int(wanted)).all()
+
+
 SHEAR = (
     (
         (9.83, 8.40, 0.40, 4.44, 4.60, 0.0, 6.51, 0.71),

@@ -356,6 +356,8 @@ def process_sample(config, state, sample, out):
         return
     _write_nothing(out, 0.0)
     out.flags |= NO_CONTACT
+    if sample.doubted:
+        out.flags |= ASSUMED
     if sample.touching and tells:
         q0, q1 = _pull_of(state, sample)
         elements.begin(state.elements, normal, q0, q1)
