@@ -93,6 +93,18 @@ class Parser(argparse.ArgumentParser):
             raise argparse.ArgumentError(action, text)
         return super()._get_values(action, arg_strings)  # type: ignore[misc]
 
+    def _get_value(self, action: argparse.Action, arg_string: str) -> Any:
+        """As in the base class; says how a number is written."""
+        try:
+            return super()._get_value(action, arg_string)  # type: ignore[misc]
+        except argparse.ArgumentError:
+            if action.type not in (int, float, integer):
+                raise
+            form = "a decimal point" if action.type is float else "digits alone"
+            whole = "" if action.type is float else "whole "
+            text = f"'{arg_string}' is no {whole}number; write it with {form} and without a unit"
+            raise argparse.ArgumentError(action, text) from None
+
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         """As in the base class; the default is a choice too, such as an empty one that the help
         does not list."""

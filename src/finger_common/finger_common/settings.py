@@ -89,7 +89,10 @@ class Settings:
             if name not in table:
                 known = known_names(name, (p.name for p in table))
                 raise InputError(f"{where}: '{name}' does not exist; {known}")
-        return cls(**values)
+        try:
+            return cls(**values)
+        except InputError as error:
+            raise InputError(f"{where}: {error}") from None
 
     @classmethod
     def select(cls: type[S], values: Mapping[str, Any]) -> S:

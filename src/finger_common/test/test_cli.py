@@ -358,6 +358,30 @@ def test_a_list_given_twice_is_one_in_place_of_the_default(
         assert (found.bounds, found.optimizer) == (bounds, optimizer)
 
 
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        (["--rate", "0,4"], "'0,4' is no number; write it with a decimal point"),
+        (["--rate", "5Hz"], "'5Hz' is no number; write it with a decimal point and without a unit"),
+        (["--count", "2.5"], "'2.5' is no whole number; write it with digits alone"),
+    ],
+)
+def test_a_number_in_another_spelling_is_told_how_to_write_it(
+    given: list[str], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    @dataclass(frozen=True)
+    class Rates(Settings):
+        rate: float = setting(1.0, "Rate.", "Hz")
+        count: int = setting(1, "Count.")
+
+    parser = Parser(prog="tool")
+    add_settings(parser, Rates)
+    with pytest.raises(SystemExit) as ended:
+        parser.parse_args(given)
+    assert ended.value.code == 2
+    assert says in capsys.readouterr().err
+
+
 def test_the_shell_completes_options(tmp_path: Path) -> None:
     pytest.importorskip("argcomplete", reason="argcomplete is not installed")
     answer = tmp_path / "answer"

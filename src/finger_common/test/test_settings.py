@@ -63,6 +63,8 @@ def test_mappings_and_json_round_trip_and_name_what_is_wrong() -> None:
             Poll.from_json(text, "goal")
     with pytest.raises(InputError, match=r"rig.yaml: 'rat' does not exist; did you mean 'rate'\?"):
         Poll.from_mapping({"rat": 1.0}, "rig.yaml")
+    with pytest.raises(InputError, match=r"^rig.yaml: parameter 'rate' is '5 Hz'"):
+        Poll.from_mapping({"rate": "5 Hz"}, "rig.yaml")
 
 
 def test_classes_share_a_field_but_not_a_name() -> None:
