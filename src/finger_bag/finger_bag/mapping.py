@@ -61,6 +61,8 @@ RULES = {
 
 TRIAL_KEYS = ("session", "subject", "condition", "trial_index", "target_force", "rig", "source")
 """Of `trial`, as in `SessionMetadata`."""
+_NUMBERS = {"target_force": 0.0, "trial_index": -1.0}
+"""Those of `trial` that are numbers, which lie above these."""
 _KEYS = ("field", "sign", "stamp", "time_offset", "topic", "unit")
 LARGEST_OFFSET = 1e9
 """s by which a clock may differ."""
@@ -118,10 +120,16 @@ class TopicMapping:
         if not isinstance(topics, Mapping) or not isinstance(trial, Mapping):
             raise InputError(f"{where}: 'topics' and 'trial' hold 'key: value' lines; correct them")
         text = {str(k): str(v) for k, v in trial.items()}
-        for key in text:
+        for key, value in trial.items():
             if key not in TRIAL_KEYS:
                 raise InputError(f"{where}: trial.{key} is not known; use {', '.join(TRIAL_KEYS)}")
-        for key, least in (("target_force", 0.0), ("trial_index", -1.0)):
+            # YAML reads 010 as the number 8, and "no" as false.
+            if key not in _NUMBERS and not isinstance(value, str):
+                raise InputError(
+                    f"{where}: trial.{key} is read as {value!r}, no text; put it between quotes, "
+                    "as in '01'"
+                )
+        for key, least in _NUMBERS.items():
             if key in text and not _is_number(text[key], least):
                 raise InputError(
                     f"{where}: trial.{key} is '{text[key]}'; give a number without a unit, as in "
@@ -171,7 +179,8 @@ def _entry(name: str, value: Any, where: str) -> MappedTopic:
     offset = value.get("time_offset", 0.0)
     if "time_offset" in value and not rule.shifted:
         raise InputError(f"{where} has the key 'time_offset', which is for areas and indentation")
-    if not isinstance(offset, (int, float)) or not abs(offset) <= LARGEST_OFFSET:
+    known = isinstance(offset, (int, float)) and not isinstance(offset, bool)
+    if not known or not abs(offset) <= LARGEST_OFFSET:
         raise InputError(
             f"{where}.time_offset is {offset!r}; give seconds without a unit, as in -0.3"
         )

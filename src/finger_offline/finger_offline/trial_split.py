@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -139,9 +139,9 @@ def split(
     streams: SessionStreams, metadata: SessionMetadata, settings: TrialSettings, bag: str
 ) -> TrialSet:
     """Trials in the streams of one bag."""
-    metadata = SessionMetadata.from_mapping(
-        {**metadata.to_mapping(), **{k: str(v) for k, v in settings.mapping.trial.items()}}
-    )
+    given = settings.mapping.trial
+    metadata = SessionMetadata.from_mapping({**metadata.to_mapping(), **given})
+    streams = replace(streams, trials=[_renamed(event, given) for event in streams.trials])
     recording = _Recording(streams, metadata, settings, bag)
     stamp, normal = recording.stamp_ns, recording.pressing
     doubts = _doubts(streams, bag)
@@ -196,6 +196,13 @@ def split(
         else:
             result.trials.append(record)
     return result
+
+
+def _renamed(event: TrialEvent, given: Mapping[str, str]) -> TrialEvent:
+    """An announcement with what a mapping file says of all trials of the bag in its place."""
+    names = {name: given[name] for name in ("session", "subject", "condition") if name in given}
+    target = {"target_force": float(given["target_force"])} if "target_force" in given else {}
+    return replace(event, **names, **target)  # type: ignore[arg-type]
 
 
 class _Recording:

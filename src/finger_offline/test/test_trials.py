@@ -577,6 +577,16 @@ def test_bag_of_another_system_is_read_through_a_mapping(tmp_path: Path) -> None
     assert (trial.condition, trial.target_force, trial.moisture) == ("natural", 1.2, 55.0)
 
 
+def test_a_mapping_replaces_what_announcements_say(tmp_path: Path) -> None:
+    """As for a session that was begun with the wrong subject or condition."""
+    write_attempt(tmp_path, 0, completed=True)
+    given = {"subject": "S07", "condition": "moist", "target_force": 1.2}
+    mapping = TopicMapping.from_mapping({"trial": given})
+    (trial,) = load_trials(tmp_path, TrialSettings(mapping=mapping))
+    assert (trial.subject, trial.condition, trial.target_force) == ("S07", "moist", 1.2)
+    assert (trial.session, trial.index) == ("s", 4), "what the mapping does not name"
+
+
 def test_a_mapping_knows_every_force_unit_of_the_sensors() -> None:
     for unit, factor in FORCE_UNITS.items():
         data = {"topics": {"wrench": {"topic": "/x", "unit": unit}}}
@@ -596,7 +606,10 @@ def test_a_mapping_knows_every_force_unit_of_the_sensors() -> None:
         ({"topics": {"indentation": {"topic": "/x", "sign": ["negative"]}}}, "choose positive"),
         ({"topics": {"wrench": {"topic": "/x", "time_offset": 1}}}, "'time_offset', which is for"),
         ({"topics": {"image_raw": {"topic": "/x", "time_offset": "1 s"}}}, "seconds without a"),
+        ({"topics": {"image_raw": {"topic": "/x", "time_offset": True}}}, "seconds without a"),
         ({"topics": [1]}, "'topics'"),
+        ({"trial": {"subject": 8}}, r"trial\.subject is read as 8, no text; put it between"),
+        ({"trial": {"condition": False}}, r"trial\.condition is read as False"),
     ],
 )
 def test_bad_mappings_are_refused(data: dict[str, Any], word: str) -> None:
