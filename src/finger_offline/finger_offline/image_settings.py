@@ -34,8 +34,9 @@ def named_values(pairs: Sequence[str], example: str) -> dict[str, Any]:
 
 
 def sensor_settings(area_sensor: str, values: dict[str, Any]) -> dict[str, Any]:
-    """Take the settings of an area sensor out of values by name, checked; raises InputError."""
-    if not values:
+    """Take the settings of an area sensor out of values by name, checked; raises InputError, also
+    for a sensor that is not installed."""
+    if not values and area_sensor == AREA_SENSORS.default:
         return {}
     known = AREA_SENSORS.load(area_sensor).SETTINGS.parameters()
     found = {name: values.pop(name) for name in list(values) if name in known}
@@ -66,6 +67,18 @@ class ImageSettings(Settings):
     )
     sensor: Mapping[str, Any] = field(default_factory=dict)
     """Settings of the area sensor by name; defaults where absent."""
+
+    def validate(self) -> None:
+        """One scale of the images."""
+        if self.calibration and self.area_per_pixel:
+            raise InputError("--calibration and --area-per-pixel: give one of the two")
+
+    def told(self) -> str:
+        """What is given for images, in words; empty without any."""
+        own = [p for p in ImageSettings.parameters() if getattr(self, p.name) != p.default]
+        words = [f"{p.name} {getattr(self, p.name)}" for p in own]
+        sensor = told_settings(self.area_sensor, self.sensor)
+        return ", ".join(filter(None, (*words, sensor)))
 
     def opened(self, plate: PlateCalibration) -> AreaSensor:
         """The area sensor with its settings; raises InputError for those that it refuses."""

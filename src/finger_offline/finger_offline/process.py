@@ -170,8 +170,15 @@ def _processed(
         result = run.result()
     if told and images is not None:
         result.notes.insert(0, f"areas measured with {told} of the area sensor")
-    elif told:
-        result.problems.append(f"areas are recorded, so that {told} is not used: give --images yes")
+    elif images is None and (unused := options.told()):
+        result.problems.append(
+            f"no areas are measured in images, so that {unused} is not used: give --images yes"
+        )
+    if options.pose and not options.shape:
+        given = ", ".join(f"{name} {value}" for name, value in options.pose.items())
+        result.problems.append(
+            f"the shape is not estimated, so that {given} is not used: give --shape"
+        )
     if topics.apart:
         result.problems.insert(0, topics.apart)
     if estimator.model.doubt:

@@ -30,13 +30,31 @@ def test_csv_files_of_the_contract_make_a_bag_fit_for_use(
     bag = tmp_path / "bag"
     options = [f"--{k}={v}" for k, v in files.items()]
     assert command(["import", "-o", str(bag), *options]) == 0
-    assert "2 presses" in capsys.readouterr().out
+    assert "2 presses to 1.20 … 1.50 N," in capsys.readouterr().out
     trials = check_trials(bag)
     assert [t.index for t in trials] == [0, 1]
     assert trials[0].onset_ns > load_start(bag)
     with open_bag(bag) as reader:
         text = reader.info.metadata.to_mapping()
     assert text["source"] == "finger-bag import" and "area.csv sha256:" in text["files"]
+
+
+@pytest.mark.parametrize(
+    ("given", "use"),
+    [
+        ("--keep-images", "--video and --images"),
+        ("--indentation-unit=mm", "--indentation"),
+        ("--indentation-time-offset=0.2", "--indentation"),
+    ],
+)
+def test_an_option_without_a_use_is_refused(
+    files: dict[str, str], tmp_path: Path, given: str, use: str
+) -> None:
+    options = [f"--{k}={v}" for k, v in files.items()]
+    name = given.partition("=")[0]
+    with pytest.raises(InputError, match=f"^{name} is for {use}; give that too, or leave it out"):
+        command(["import", "-o", str(tmp_path / "bag"), *options, given])
+    assert not (tmp_path / "bag").exists()
 
 
 def test_areas_of_a_table_have_a_deviation_and_correct_the_model(
@@ -111,6 +129,8 @@ def test_the_start_is_read_with_its_difference_from_utc(
         ({"start": "1969-12-31"}, r"--start: a time is in the year 1969"),
         ({"start": "2038-01-19T03:14:06"}, r"force\.csv: a time is in the year 2038"),
         ({"frame_rate": 1e-300, "area": "", "video": "v", "area_per_pixel": 1e-9}, r"below 0\.001"),
+        ({"force_rate": 100.0}, r"'time_s' come at 250 Hz, and --force-rate says 100 Hz; leave"),
+        ({"normal_axis": "+x"}, r"--normal-axis is for three columns of the force"),
         ({"tare": 2.0}, r"varies by .* --tare"),
         ({"time_unit": "us"}, r"first press lasts .*e-06 s; give the right --time-unit"),
     ],

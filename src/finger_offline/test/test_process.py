@@ -293,6 +293,22 @@ def test_images_left_out_by_the_limit_are_counted_as_lost(
         assert 0 < made.info.topics["/finger/contact_area"].count < 35
 
 
+def test_what_a_run_has_no_use_for_is_told_or_refused(
+    session: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = str(session())
+    given = ["--area-per-pixel", "1e-9", "--set", "tilt_sd=0.2"]
+    assert command(["process", bag, "-o", str(tmp_path / "out"), *given]) == 0
+    said = capsys.readouterr().err
+    assert "area_per_pixel 1e-09 is not used: give --images yes" in said
+    assert "tilt_sd 0.2 is not used: give --shape" in said
+    both = ["--calibration", "plate.yaml", "--area-per-pixel", "1e-9"]
+    with pytest.raises(InputError, match="--calibration and --area-per-pixel: give one of the two"):
+        command(["process", bag, "-o", str(tmp_path / "both"), *both])
+    with pytest.raises(InputError, match="area sensor 'other' is not installed"):
+        command(["process", bag, "-o", str(tmp_path / "other"), "--area-sensor", "other"])
+
+
 def test_csv_holds_the_estimates(session: Callable[..., Path], tmp_path: Path) -> None:
     path = session(trials=1)
     blocks: list[EstimateBlock] = []

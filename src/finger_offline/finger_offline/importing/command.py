@@ -72,6 +72,8 @@ def run(args: argparse.Namespace) -> int:
     done: list[Imported] = []
     with Stages() as stages:
         settings = None if args.trials else settings_from(args, ImportSettings)
+        if settings is not None:  # rows of a table may need what others do not
+            settings.check_used()
         if settings is not None and not settings.grouping:
             done.append(import_trial(settings, output, stages.update))
         else:
@@ -232,8 +234,8 @@ def _report(done: list[Any]) -> int:
     for result in done:
         peaks = [peak for _, _, peak in result.presses]
         touching = [1e6 * area for area in result.areas if area > 0]
-        forces = f"{peaks[0]:.2f} N" if len(peaks) == 1 else f"{min(peaks):.2f} to {max(peaks):.2f}"
-        presses = f"1 press to {forces}" if len(peaks) == 1 else f"{len(peaks)} presses to {forces}"
+        forces = " … ".join(dict.fromkeys(f"{peak:.2f}" for peak in (min(peaks), max(peaks))))
+        presses = f"{len(peaks)} press{'es' if len(peaks) > 1 else ''} to {forces} N"
         checked = validate(result.path)
         fit = checked.fit and not result.problems
         good += fit

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from finger_common.axes import NO_FORCE, axis_of, usable
+from finger_common.axes import DEFAULT_NORMAL_AXIS, NO_FORCE, axis_of, usable
 from finger_common.errors import InputError, listed
 from finger_common.stamps import seconds
 from finger_common.units import LARGEST_FORCE
@@ -61,6 +61,10 @@ def read_force(
         raise InputError(
             f"--force-column {named}: name the normal force, or x, y and z as Fx,Fy,Fz"
         )
+    if len(headings) == 1 and settings.normal_axis != DEFAULT_NORMAL_AXIS:
+        raise InputError("--normal-axis is for three columns of the force; give --force-sign")
+    if len(headings) == 3 and settings.force_sign != "positive":
+        raise InputError("--force-sign is for one column of the force; give --normal-axis")
     heading, times = times_of(FORCE, settings, table, headings[0])
     factor = factor_of(FORCE, settings, table, headings[-1])
     columns = [table.numbers(h, gaps=True) * factor for h in headings]

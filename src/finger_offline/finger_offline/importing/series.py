@@ -98,8 +98,28 @@ def times_of(
                 "of it, or its unit where these are times"
             )
         return heading, times
+    _check_rate(spec, settings, table, hertz)
     rows = np.arange(len(table.columns[column]))
     return column, Times.of(np.round(rows * (NANOSECONDS / hertz)).astype(np.int64), False)
+
+
+def _check_rate(spec: Series, settings: ImportSettings, table: Table, hertz: float) -> None:
+    """Raise InputError for a rate that contradicts the column of times, if there is one."""
+    name = getattr(settings, spec.time)
+    if not table.alike(name):
+        return
+    heading = table.heading(name, option(spec.time))
+    try:
+        times = table.times(heading, time_unit_of(spec, settings))
+    except InputError:
+        return  # no times, so that a rate is needed
+    steps = np.diff(times.ns[times.known]) / NANOSECONDS
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    if usual > 0.0 and not _counts(times) and not 0.8 < usual * hertz < 1.25:
+        raise InputError(
+            f"{table.where}: the times in '{heading}' come at {1.0 / usual:.4g} Hz, and "
+            f"{option(spec.rate)} says {hertz:g} Hz; leave it out, or rename the column"
+        )
 
 
 def _counts(times: Times) -> bool:

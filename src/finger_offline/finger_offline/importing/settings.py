@@ -268,6 +268,20 @@ class ImportSettings(Settings):
             raise InputError("--set is for --video and --images, not for --area")
         _ = self.readings, self.sensor
 
+    def check_used(self) -> None:
+        """Raise InputError for an option that one recording has no use for."""
+        pictures = ("calibration", "image_times", "area_sensor", "set", "keep_images")
+        table = ("area_column", "area_unit", "area_sd")
+        unused = [(name, "--video and --images") for name in pictures if self.area]
+        unused += [(name, "--area") for name in table if not self.area]
+        if not self.indentation:
+            names = [p.name for p in self.parameters() if p.name.startswith("indentation_")]
+            unused += [(name, "--indentation") for name in names]
+        for name, use in unused:
+            if getattr(self, name) != self.parameters()[name].default:
+                option = name.replace("_", "-")
+                raise InputError(f"--{option} is for {use}; give that too, or leave it out")
+
     @property
     def grouping(self) -> dict[str, str]:
         """Option → column, of the columns that tell recordings apart."""
