@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from finger_common.errors import InputError
+from finger_common.errors import InputError, put_once
 from finger_common.settings import Settings, setting
 from finger_model.geometry import LENGTHS
 
@@ -117,6 +117,7 @@ class NuisancePriors(Settings):
         0, and empty where `geometry_sd` is.
         """
         found = dict(CALIPERS if MEASURED in self.geometry_sd else known)
+        given: dict[str, float] = {}
         for text in self.geometry_sd:
             if text in (KNOWN, MEASURED):
                 continue
@@ -130,5 +131,6 @@ class NuisancePriors(Settings):
                     f"geometry_sd '{text}': NAME=DEVIATION is needed, a relative deviation from 0 "
                     f"to 1 and NAME one of {', '.join(LENGTHS)}, or the word '{MEASURED}'"
                 )
-            found[name] = value
+            put_once(given, name, value, "geometry_sd")
+        found |= given
         return {n: value for n, value in found.items() if value > 0 and self.geometry_sd}

@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 
 from finger_common.contact_threshold import ONSET_FORCE
-from finger_common.errors import InputError
+from finger_common.errors import InputError, put_once
 from finger_common.settings import setting
 from finger_common.units import MODULUS_UNITS, TIME_UNITS, unit_named
 from finger_model.geometry import Geometry
 from finger_model.laws import ConstitutiveLaw, ParameterSpace, ParameterSpec
 from finger_model.paper import TARGET_FORCE
 
-from .nuisance_priors import NuisancePriors
+from .nuisance_priors import NUISANCE, NuisancePriors
 
 FRAMES = "frames and forces"
 SEARCH = "cost and search"
@@ -32,6 +32,11 @@ RUN = "run"
 
 UNITS = {"Pa": MODULUS_UNITS, "s": TIME_UNITS}
 """Unit of a parameter -> units that its bounds may be given in."""
+
+NUISANCE_PRIORS = tuple(
+    p.name for p in NuisancePriors.parameters() if p.group == NUISANCE and p.name != "nuisances"
+)
+"""Options of a fit with nuisance parameters."""
 
 MEMORY = 5.0
 """Creep times after which tissue is at rest: it keeps exp(−5) of the strain."""
@@ -205,12 +210,28 @@ class FitOptions(NuisancePriors):
         if "pso" not in self.optimizer:
             object.__setattr__(self, "optimizer", ["pso", *self.optimizer])
 
+    def without_effect(self) -> list[str]:
+        """Say which options are given that another one makes useless."""
+        useless = {
+            "loss 'squares'": ("huber_scale",) if self.loss == "squares" else (),
+            "nuisances off": NUISANCE_PRIORS if not self.nuisances else (),
+            "indentation_sd 0": ("indentation_gain_sd",) if self.indentation_sd == 0 else (),
+            "low_force 0": ("low_force_weight",) if self.low_force == 0 else (),
+        }
+        table = self.parameters()
+        return [
+            f"with {reason}, {', '.join(given)} has no effect"
+            for reason, names in useless.items()
+            if (given := [n for n in names if getattr(self, n) != table[n].default])
+        ]
+
     def box(self, space: ParameterSpace) -> np.ndarray:
         """Search box (D, 2) in SI units: the space's own, with `bounds` in its place.
 
         Raises InputError for bounds of an unknown parameter or without width.
         """
         box = np.array(space.box, dtype=float)
+        given: dict[str, str] = {}
         for text in self.bounds:
             name, _, span = text.partition("=")
             if name not in space.names:
@@ -218,6 +239,7 @@ class FitOptions(NuisancePriors):
                     f"bounds '{text}': NAME=LOW:HIGH is needed, NAME one of "
                     f"{', '.join(space.names)}, as in E0=50kPa:160kPa"
                 )
+            put_once(given, name, span, "bounds")
             box[space.index(name)] = _span(text, span, space[name])
         return box
 

@@ -221,7 +221,7 @@ def test_plans_are_read_from_a_file(tmp_path: Path) -> None:
     [
         ("press: 3\n", "plan.yaml: 'press' does not exist"),
         ("a: {press: 3}\n", "plan.yaml: a: 'press' does not exist"),
-        ("presses: many\n", "'presses' is 'many'"),
+        ("presses: many\n", "plan.yaml: parameter 'presses' is 'many'"),
         ("a: {presses: 4}\npresses: 4\n", "'presses' is no plan"),
         ("- 3\n", "plan.yaml"),
         ("", "the plan is empty"),
@@ -259,7 +259,10 @@ def test_a_bad_file_of_plans_is_one_sentence(
         (["--guess", "E0=80kPa,E1=25kPa,tau1=0.5s,E2=1.8MPa,E3=1"], "all of E0"),
         (["--guess", "E0=80,E1=25,tau1=0.5,E2=1800"], "E0 is 80 Pa, outside"),
         (["--wanted", "E=0.1"], "QUANTITY=DEVIATION"),
-        (["--subjects", "1"], "at least 2 subjects"),
+        (["--against", "dry", "--subjects", "1"], "at least 2 subjects"),
+        (["--subjects", "20"], "--subjects is for a contrast; give --against too, or leave it out"),
+        (["--between", "0.3"], "--between is for a contrast; give --against too"),
+        (["--geometry-sd", "nail_radius=0.1", "nail_radius=0.2"], "'nail_radius' is there twice"),
     ],
 )
 def test_bad_input_is_one_sentence(

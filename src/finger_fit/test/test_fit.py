@@ -410,6 +410,19 @@ def test_a_subject_without_the_condition_asked_for_is_not_lost(double) -> None:
     assert any("S02: condition 'moist' does not occur" in note for note in found.problems)
 
 
+def test_what_a_fit_has_no_use_for_is_told(double, tmp_path: Path) -> None:
+    records = [double.make_record(i, 0.7 + 0.3 * i, 1e-6) for i in range(3)]
+    options = FitOptions(**QUICK, rounds=3, huber_scale=1e-6, tare_sd=0.1, resume=True)
+    model = double.HereditaryModel()
+    found = fit_records(records, model, options, folder=tmp_path).problems
+    assert "with loss 'squares', huber_scale has no effect" in found
+    assert "with nuisances off, tare_sd has no effect" in found
+    assert sum("no checkpoint to resume from" in note for note in found) == 1
+    options = replace(options, tare_sd=FitOptions().tare_sd)
+    again = fit_records(records, model, options, folder=tmp_path).problems
+    assert not any("nuisances off" in note or "to resume from" in note for note in again)
+
+
 def test_resumed_fit_equals_the_uninterrupted_one(double, tmp_path: Path) -> None:
     options = FitOptions(
         full_order=False, profiles=False, bootstrap=0, bias_pairs=0, grid=3, rounds=12

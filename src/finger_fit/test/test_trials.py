@@ -402,6 +402,7 @@ def test_unknown_condition_is_refused_with_the_known_ones(double) -> None:
     [
         ({"bounds": ["E0=5:1"]}, "E0=5:1"),
         ({"bounds": ["E9=1:2"]}, "E0, E1, tau1, E2"),
+        ({"bounds": ["E2=1MPa:2MPa", "E2=1MPa:3MPa"]}, "bounds: 'E2' is there twice; keep one"),
         ({"window": "all"}, "loading, contact"),
         ({"onset_force": 2.0}, "onset_force"),
         ({"grid": 1}, "2 … 20"),

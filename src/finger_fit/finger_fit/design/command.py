@@ -40,6 +40,9 @@ PLANS = {
 }
 """Plans that are compared where none is given."""
 
+SUBJECTS, BETWEEN = 10, 0.2
+"""Of a contrast: subjects, and standard deviation of its logarithm between people."""
+
 EXAMPLE = (
     "finger-fit design\n"
     "finger-fit design --plan long:presses=20,hold=2,window=contact --wanted composite_E=0.1\n"
@@ -79,14 +82,13 @@ def parser() -> Parser:
     p.add_argument(
         "--subjects",
         type=int,
-        default=10,
         metavar="N",
-        help="number of subjects of the contrast (default: 10)",
+        help=f"with --against: number of subjects of the contrast (default: {SUBJECTS})",
     )
     p.add_argument(
-        "--between", type=float, default=0.2, metavar="SD",
-        help="standard deviation of the contrast's logarithm between people (default: 0.2, an "
-        "assumption)",
+        "--between", type=float, metavar="SD",
+        help="with --against: standard deviation of the contrast's logarithm between people "
+        f"(default: {BETWEEN:g}, an assumption)",
     )  # fmt: skip
     p.add_argument("--geometry", metavar="YAML", default="", help="geometry.yaml of the finger")
     p.add_argument("-o", "--output", metavar="FILE", default="", help="JSON file to write to")
@@ -140,9 +142,14 @@ def command(argv: Sequence[str]) -> int:
     args = parser().parse_args(argv)
     priors = settings_from(args, NuisancePriors)
     options = FitOptions(**priors.to_dict())
-    if args.subjects < 2 or not 0.0 <= args.between <= 5.0:
+    for name in ("subjects", "between"):
+        if getattr(args, name) is not None and not args.against:
+            raise InputError(f"--{name} is for a contrast; give --against too, or leave it out")
+    subjects = SUBJECTS if args.subjects is None else args.subjects
+    between = BETWEEN if args.between is None else args.between
+    if subjects < 2 or not 0.0 <= between <= 5.0:
         raise InputError(
-            f"--subjects {args.subjects}, --between {args.between:g}: at least 2 subjects and a "
+            f"--subjects {subjects}, --between {between:g}: at least 2 subjects and a "
             "standard deviation from 0 to 5 are needed"
         )
     finger = AssumedFinger.load(args.geometry)
@@ -169,8 +176,8 @@ def command(argv: Sequence[str]) -> int:
             name: expected(plan, model, other, options, known) for name, plan in plans.items()
         }
         data["contrast"] = {
-            "against": space.mapping(other), "subjects": args.subjects, "between": args.between,
-            "plans": _contrasts(found, second, args.subjects, args.between),
+            "against": space.mapping(other), "subjects": subjects, "between": between,
+            "plans": _contrasts(found, second, subjects, between),
         }  # fmt: skip
         console.print(_contrast_table(space, data["contrast"]))
     for line in gains(space, found):

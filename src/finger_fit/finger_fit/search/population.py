@@ -45,7 +45,8 @@ class Search:
     """What a search evaluated.
 
     candidates (R, C, N), costs (R, C) of R rounds with C candidates each; complete: all rounds were
-    run; unsaved: why the checkpoint lacks the last rounds, empty where it holds all.
+    run; unsaved: why the checkpoint lacks the last rounds, empty where it holds all; resumed: how
+    many rounds a checkpoint held already.
     """
 
     name: str
@@ -53,6 +54,7 @@ class Search:
     costs: np.ndarray
     complete: bool = True
     unsaved: str = ""
+    resumed: int = 0
 
     @property
     def best(self) -> tuple[np.ndarray, float]:
@@ -242,7 +244,8 @@ def search(
     except (KeyboardInterrupt, Stopped):
         if not points:
             raise
-    return Search(name, np.array(points), np.array(costs), complete, unsaved)
+    resumed = min(len(done_points), len(points))
+    return Search(name, np.array(points), np.array(costs), complete, unsaved, resumed)
 
 
 def _save(

@@ -91,7 +91,7 @@ def fit_records(
     if not trials:
         raise nothing_to_fit(exclusions)
     fingers, on_models = _serving(fingers, trials, options)
-    notes = [*screened.notes, *_on_memory(trials, memory), *on_models]
+    notes = [*screened.notes, *options.without_effect(), *_on_memory(trials, memory), *on_models]
     subjects: dict[str, list[FitTrial]] = {}
     for trial in trials:
         subjects.setdefault(trial.subject, []).append(trial)
@@ -277,6 +277,10 @@ class _Work:
                     "as they were: fit again"
                 )
                 continue
+            if self.options.resume and not fit.pso.resumed:
+                notes.append(
+                    f"condition '{name}': no checkpoint to resume from; its search began anew"
+                )
             if fit.unsaved:
                 notes.append(
                     f"condition '{name}': a checkpoint, which only --resume needs, lacks the last "
