@@ -240,6 +240,27 @@ def test_verify_prints_numbers_and_refuses_unknown_checks(capsys):
     assert "check 'nothing' does not exist" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--population"], "--population is for --reduced: give that too, or leave it out"),
+        (["disc", "--error-plot", "e.png"], "--error-plot is for --reduced"),
+        (["--reduced", "disc"], "--reduced does not go with named checks"),
+        (["--reduced", "--published"], "give one of the two"),
+    ],
+)
+def test_options_of_another_verification_are_refused(options, words, capsys):
+    assert run(_main, ["verify", *options]) == 2
+    assert words in capsys.readouterr().err
+
+
+def test_a_figure_gets_no_name_of_another_kind(force_file, tmp_path, capsys):
+    plot = tmp_path / "stress.pdf"
+    assert run(_main, ["simulate", "--force", str(force_file), "--plot", str(plot)]) == 2
+    assert "is drawn as PNG; give a name that ends in .png" in capsys.readouterr().err
+    assert not plot.exists()
+
+
 def test_forces_of_the_wrong_sign_are_pointed_out(tmp_path, capsys):
     path = tmp_path / "force.csv"
     path.write_text("time_s,force_n\n0,0\n1,-1\n")

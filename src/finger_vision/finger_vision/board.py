@@ -41,6 +41,11 @@ class Board:
             )
         if not 1e-5 < self.square < 1:
             raise InputError(f"square of {self.square:g} m: give the side in metres, as in 0.002")
+        if self.kind == "checkerboard" and (self.marker or self.dictionary != DICTIONARY):
+            raise InputError(
+                "marker and dictionary are of a ChArUco board, a checkerboard has none; give "
+                "--board charuco, or leave them out"
+            )
         if self.kind == "charuco":
             if not 0 < self.marker < self.square:
                 raise InputError(

@@ -362,3 +362,9 @@ def test_dictionaries_that_do_not_serve_the_board_are_refused(
 ) -> None:
     with pytest.raises(InputError, match=words):
         Board("charuco", columns, 8, 0.003, 0.0022, dictionary)
+
+
+def test_markers_of_a_board_that_has_none_are_refused() -> None:
+    """Else a ChArUco board, whose kind was forgotten, would be looked for as a checkerboard."""
+    with pytest.raises(InputError, match="a checkerboard has none; give --board charuco"):
+        Board("checkerboard", 10, 8, 0.003, 0.0022)

@@ -52,8 +52,15 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Carry out the subcommand."""
+    if arguments.reduced and arguments.published:
+        raise InputError("--reduced and --published: give one of the two")
     if arguments.reduced:
+        for name, value in (("-o", arguments.output), ("named checks", arguments.checks)):
+            if value:
+                raise InputError(f"--reduced does not go with {name}: leave one of them out")
         return verify_reduced.run(arguments)
+    for option in verify_reduced.given(arguments):
+        raise InputError(f"{option} is for --reduced: give that too, or leave it out")
     if arguments.published:
         return verify_published.run(arguments)
     from ..verification.page import CHECKS, write_page

@@ -12,6 +12,9 @@ import numpy as np
 from finger_common.errors import InputError
 from finger_common.progress import Stages
 
+PAIRS = 204
+"""Pairs of parameter set and force history."""
+
 SEED = 64075
 """Not that of any build: pairs that no training saw and no choice was made on."""
 
@@ -21,12 +24,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--reduced", action="store_true", help="measure the reduced model's error instead"
     )
-    parser.add_argument("--reduced-model", metavar="FILE", help="file to verify (default: shipped)")
+    parser.add_argument(
+        "--reduced-model", metavar="FILE", help="with --reduced: file to verify (default: shipped)"
+    )
     parser.add_argument(
         "--pairs",
         type=int,
-        default=204,
-        help="number of pairs of parameter set and force history (default: 204)",
+        default=PAIRS,
+        help=f"with --reduced: number of pairs of parameter set and force history (default: "
+        f"{PAIRS})",
     )
     parser.add_argument(
         "--wide",
@@ -44,10 +50,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="with --reduced: test random fingers and laws of the population box instead",
     )
-    parser.add_argument("--workers", type=int, default=2, help="processes (default: 2)")
     parser.add_argument(
-        "--error-plot", metavar="PNG", help="draw the distribution of the errors and the worst pair"
+        "--workers", type=int, default=2, help="with --reduced: processes (default: 2)"
     )
+    parser.add_argument(
+        "--error-plot",
+        metavar="PNG",
+        help="with --reduced: draw the distribution of the errors and the worst pair",
+    )
+
+
+def given(arguments: argparse.Namespace) -> list[str]:
+    """The options of this mode that are given without it, as on the command line."""
+    chosen = {
+        "--reduced-model": arguments.reduced_model,
+        "--pairs": arguments.pairs != PAIRS,
+        "--wide": arguments.wide,
+        "--branches": arguments.branches,
+        "--population": arguments.population,
+        "--error-plot": arguments.error_plot,
+    }
+    return [option for option, value in chosen.items() if value]
 
 
 def run(arguments: argparse.Namespace) -> int:
