@@ -275,6 +275,8 @@ def parse_yaml(text: str, where: str) -> dict[str, Any]:
         mark = getattr(error, "problem_mark", None)
         line = f", line {mark.line + 1}" if mark else ""
         problem = getattr(error, "problem", None) or "syntax error"
+        if mark and text[mark.index : mark.index + 1] == "\t":
+            problem = "a tab; indent with blanks"
         raise InputError(f"{where}{line}: not valid YAML ({problem}); correct the syntax") from None
     except InputError:
         raise

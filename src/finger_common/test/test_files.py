@@ -184,7 +184,13 @@ def test_bad_csv_is_refused_with_file_line_and_column(
 
 @pytest.mark.parametrize(
     ("text", "word"),
-    [("[:", "not valid YAML"), ("- 1\n", "list"), ("a: [1", "line"), ("# only this\n", "empty")],
+    [
+        ("[:", "not valid YAML"),
+        ("- 1\n", "list"),
+        ("a: [1", "line"),
+        ("# only this\n", "empty"),
+        ("ü: 1\na:\n\tb: 2\n", r"line 3: not valid YAML \(a tab; indent with blanks\)"),
+    ],
 )
 def test_bad_yaml_is_refused_with_the_file_named(tmp_path: Path, text: str, word: str) -> None:
     path = tmp_path / "p.yaml"
