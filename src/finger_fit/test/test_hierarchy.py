@@ -171,6 +171,20 @@ def test_fits_of_few_presses_count_less(tmp_path: Path) -> None:
     assert many == pytest.approx(0.05, rel=0.01) and three / many == pytest.approx(2.195, rel=0.01)
 
 
+@pytest.mark.parametrize(
+    ("key", "value"), [("trials", 0), ("trials", -3), ("composite_E", 0.0), ("sd_log", -0.05)]
+)
+def test_numbers_that_no_fit_gives_are_refused(tmp_path: Path, key: str, value: float) -> None:
+    file = fit_file(tmp_path) / "fit.json"
+    data = json.loads(file.read_text())
+    entry = data["subjects"]["S03"]["conditions"]["dry"]
+    (entry if key in entry else entry["from_data"]["composite_E"])[key] = value
+    file.write_text(json.dumps(data))
+    subjects = read_subjects([str(file)])
+    with pytest.raises(InputError, match=r"S03 dry: fit.json: no value and deviations of"):
+        _arrays(subjects, ["dry", "natural"], "composite_E")
+
+
 def test_the_command_reads_fits_and_writes_the_population(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -269,7 +269,8 @@ def _deviations(
     known = {key: number(own, key, where) for key in ("sd_log", "sd_log_assumed")}
     known |= {key: number(dict(entry), key, where) for key in (name, "trials")}
     assumed = {key: number(own["assumed"], key, where) for key in own["assumed"]}
-    if known[name] <= 0.0 or max(map(abs, (*known.values(), *assumed.values()))) > LARGEST:
+    usable = known[name] > 0.0 and known["trials"] >= 1.0 and known["sd_log"] >= 0.0
+    if not usable or max(map(abs, (*known.values(), *assumed.values()))) > LARGEST:
         raise InputError(f"{where}: no value and deviations of {name} that a fit gives; correct it")
     return known, assumed
 
