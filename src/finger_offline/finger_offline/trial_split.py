@@ -25,7 +25,7 @@ from finger_bag.streams import (
 from finger_common.axes import lateral_force, normal_force, usable
 from finger_common.condition_name import check_condition_name
 from finger_common.contact_threshold import LIFTOFF_FORCE, ONSET_FORCE, check_thresholds, contacts
-from finger_common.errors import InputError
+from finger_common.errors import InputError, listed
 from finger_common.flags import AreaFlag
 from finger_common.settings import setting
 from finger_common.stamps import nanoseconds, seconds
@@ -141,7 +141,8 @@ def split(
     """Trials in the streams of one bag."""
     given = settings.mapping.trial
     metadata = SessionMetadata.from_mapping({**metadata.to_mapping(), **given})
-    streams = replace(streams, trials=[_renamed(event, given) for event in streams.trials])
+    announced = streams.trials
+    streams = replace(streams, trials=[_renamed(event, given) for event in announced])
     recording = _Recording(streams, metadata, settings, bag)
     stamp, normal = recording.stamp_ns, recording.pressing
     doubts = _doubts(streams, bag)
@@ -149,6 +150,7 @@ def split(
     if recording.unusable:
         result.problems.append(f"{bag}: {recording.unusable} wrenches without a finite force")
     result.problems += doubts
+    result.problems += [f"{bag}: {words}" for words in _replaced(announced, streams.trials)]
     result.moved = recording.moved
     if result.moved is not None and abs(result.moved.force) > LARGEST_TARE:
         result.problems.append(f"{bag}: {result.moved.words}; the forces of its presses are wrong")
@@ -203,6 +205,18 @@ def _renamed(event: TrialEvent, given: Mapping[str, str]) -> TrialEvent:
     names = {name: given[name] for name in ("session", "subject", "condition") if name in given}
     target = {"target_force": float(given["target_force"])} if "target_force" in given else {}
     return replace(event, **names, **target)  # type: ignore[arg-type]
+
+
+def _replaced(before: Sequence[TrialEvent], after: Sequence[TrialEvent]) -> list[str]:
+    """Say which subject and conditions of the announcements a mapping file replaces."""
+    words = []
+    for name in ("subject", "condition"):
+        pairs = ((getattr(b, name), getattr(a, name)) for b, a in zip(before, after, strict=True))
+        old = dict.fromkeys(was for was, now in pairs if was and was != now)
+        if old:
+            new = getattr(after[0], name)
+            words.append(f"the mapping file replaces the {name} {listed(old)} by {new}")
+    return words
 
 
 class _Recording:

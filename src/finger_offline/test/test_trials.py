@@ -582,7 +582,9 @@ def test_a_mapping_replaces_what_announcements_say(tmp_path: Path) -> None:
     write_attempt(tmp_path, 0, completed=True)
     given = {"subject": "S07", "condition": "moist", "target_force": 1.2}
     mapping = TopicMapping.from_mapping({"trial": given})
-    (trial,) = load_trials(tmp_path, TrialSettings(mapping=mapping))
+    found = load_trials(tmp_path, TrialSettings(mapping=mapping))
+    (trial,) = found
+    assert "replaces the condition dry by moist" in " ".join(found.problems)
     assert (trial.subject, trial.condition, trial.target_force) == ("S07", "moist", 1.2)
     assert (trial.session, trial.index) == ("s", 4), "what the mapping does not name"
 
