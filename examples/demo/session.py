@@ -108,9 +108,6 @@ def record_session(request: SessionRequest) -> Generator[dict[str, Any], None, N
     processes.
     """
     request.folder.mkdir(parents=True, exist_ok=True)
-    if threading.current_thread() is threading.main_thread():
-        # A signal that ends this program ends the suite, too.
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
     os.environ["ROS_DOMAIN_ID"] = str(request.domain or free_domain())
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     examples = str(Path(__file__).resolve().parents[1])
@@ -137,7 +134,11 @@ def record_session(request: SessionRequest) -> Generator[dict[str, Any], None, N
                 deaths.append(name)
 
         supervisor = Supervisor(specs, line=line)
+        main, usual = threading.main_thread(), signal.getsignal(signal.SIGTERM)
         try:
+            if threading.current_thread() is main:
+                # A signal that ends this program ends the suite, too.
+                signal.signal(signal.SIGTERM, signal.default_int_handler)
             supervisor.start()
             yield {"event": "started", "time": time.time(), "processes": len(specs)}
             finished = False
@@ -155,3 +156,5 @@ def record_session(request: SessionRequest) -> Generator[dict[str, Any], None, N
                 yield event
         finally:
             supervisor.stop()
+            if threading.current_thread() is main:
+                signal.signal(signal.SIGTERM, usual)
