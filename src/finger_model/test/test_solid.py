@@ -395,6 +395,65 @@ def test_pull_turns_with_its_direction():
     assert found[0][2] == pytest.approx(found[1][2], rel=1e-3)
 
 
+@pytest.fixture(scope="module")
+def whole():
+    size = MeshSize(center=0.2, across=4, growth=1.4, bulk=2, skin=1)
+    return SolidModel(size=size, half=False)
+
+
+def test_a_plate_that_turns_twists_the_skin_until_all_slips_and_back(whole):
+    law = elastic(**DRY, friction=0.5)
+    stepper = whole.start(law)
+    pressed = [stepper.step(0.5 * k, 0.25 * k) for k in (1, 2)][-1]
+    bound = 0.5 * 0.5 * pressed.radius
+    assert abs(pressed.twist_torque) < 1e-6 * bound
+    angles = (0.01, 0.02, 0.05, 0.1)
+    forth = [stepper.step(2.0 + k, 0.5, twist=angle) for k, angle in enumerate(angles)]
+    torque, stick = (
+        np.array([getattr(p, n) for p in forth]) for n in ("twist_torque", "stick_ratio")
+    )
+    assert np.all(np.diff(torque) > 0.0) and np.all(np.diff(stick) < 0.0) and stick[-1] < 0.02
+    # Where all slips, each place has its friction across its way from the centre of the turn.
+    normal = stepper.state.contact.force[:, 2]
+    arm = np.hypot(*stepper.state.positions[whole.mesh.surface, :2].T)
+    assert torque[-1] == pytest.approx(0.5 * normal @ arm, rel=0.01)
+    assert 0.58 < torque[-1] / bound < 0.67, "Hertz has 0.589, even pressure 0.667"
+    assert math.hypot(forth[-1].tangential_x, forth[-1].tangential_y) < 1e-6
+    # On the way back friction turns, so that twice the angle takes twice the torque (Masing).
+    back = stepper.step(7.0, 0.5, twist=0.1 - 2 * 0.05)
+    assert torque[-1] - back.twist_torque == pytest.approx(2.0 * torque[2], rel=0.01)
+    assert stepper.step(8.0, 0.5, twist=-0.1).twist_torque == pytest.approx(-torque[-1], rel=0.01)
+
+
+def test_a_turn_about_a_place_beside_the_contact_pulls_and_twists(whole):
+    """Far from it, the plate hardly twists. Turned in the air, it does neither."""
+    law = elastic(**DRY, friction=0.5)
+    found = []
+    for distance, angle in ((0.0, 0.1), (4e-3, 0.2), (50e-3, 0.01)):
+        stepper = whole.start(law)
+        stepper.step(0.1, 0.0, twist=0.4)
+        touched = [stepper.step(0.5 * k, 0.25 * k, twist=0.4) for k in (1, 2)][-1]
+        assert abs(touched.twist_torque) < 1e-8
+        for k, part in enumerate((0.2, 0.5, 1.0)):
+            shift = 0.0, part * angle * distance
+            point = stepper.step(2.0 + k, 0.5, None, shift, 0.4 + part * angle)
+        pull = math.hypot(point.tangential_x, point.tangential_y)
+        found.append((pull / 0.25, point.twist_torque / (0.25 * point.radius)))
+    (q0, t0), (q1, t1), (q2, t2) = found
+    assert q0 < 0.01 and q2 > 0.75 and t2 < 0.15 * t0
+    assert 0.6 < q1 < 0.85 and 0.93 < math.hypot(q1, t1 / t0) < 1.0, "just within the ellipse"
+
+
+def test_a_twist_needs_the_whole_finger_and_a_plate_whose_shift_is_given(model, whole):
+    law = elastic(**DRY, friction=0.5)
+    with pytest.raises(InputError, match="a twist needs the whole finger: use half=False"):
+        model.start(law).step(1.0, 0.3, twist=0.1)
+    with pytest.raises(InputError, match="give the shift instead"):
+        whole.start(law).step(1.0, 0.3, (0.01, 0.0), twist=0.1)
+    with pytest.raises(InputError, match="finite numbers"):
+        whole.start(law).step_to_position(1.0, 1e-4, twist=math.nan)
+
+
 def test_skin_that_has_just_touched_carries_a_pull_within_friction(model):
     law = elastic(**DRY, friction=0.25)
     still, right, left = (

@@ -14,6 +14,7 @@ from finger_model.verification import (
     pulled_spheres,
     solids,
     spheres,
+    twisted_spheres,
 )
 from finger_model.verification.cases import reference
 from finger_model.verification.check import Measure
@@ -152,6 +153,11 @@ def test_three_dimensions_agree_with_two_within_1_percent():
 @pytest.mark.slow
 def test_pulled_sphere_within_2_percent_of_cattaneo_mindlin():
     holds(pulled_spheres.cattaneo_mindlin())
+
+
+@pytest.mark.slow
+def test_twisted_sphere_within_2_percent_of_lubkin():
+    holds(twisted_spheres.twisted())
 
 
 def test_a_pull_begins_as_in_calculix():

@@ -161,6 +161,17 @@ def stick_ratio(
     return float(weight[mean <= SLIP_SHARE * travel].sum() / weight.sum())
 
 
+def twist_torque(skin: np.ndarray, force: np.ndarray) -> float:
+    """Torque (N m) about the normal through the centre of pressure of forces (S, 3) in N at
+    positions (S, 3): that of the wrench along its own axis, over the cosine between the two (A.
+    Bicchi, J. K. Salisbury and D. L. Brock, Int. J. Robotics Research 12, 1993)."""
+    normal = float(force[:, 2].sum())
+    if normal <= 0.0:
+        return 0.0
+    x, y = (skin[:, :2] - force[:, 2] @ skin[:, :2] / normal).T
+    return float(x @ force[:, 1] - y @ force[:, 0])
+
+
 def pressure(mesh: SolidMesh, contact: Contact, areas: np.ndarray) -> np.ndarray:
     """Pressure (S,) in Pa: forces of the nodes of each face over their areas, averaged over the
     faces of a node."""

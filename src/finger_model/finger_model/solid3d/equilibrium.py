@@ -134,7 +134,7 @@ class Equilibrium:
                 self.residuals.append(norm)
             if iteration and norm < TOLERANCE:
                 gap = x[surface, 2] - contact.plate[2]
-                if not np.any(gap < -1e-9 * self.length):
+                if not np.any(gap < -1e-6 * self.length):
                     return x, contact
                 self._choose(x, contact)
                 continue

@@ -26,7 +26,7 @@ from ..laws import ConstitutiveLaw, Tissue
 from ..laws.creep_steps import CreepSteps
 from ..pose.pose import Pose
 from .contact import Contact, NotSettled, Plate, Sliding
-from .contact_shape import node_areas, outline, pressure, stick_ratio
+from .contact_shape import node_areas, outline, pressure, stick_ratio, twist_torque
 from .equilibrium import Equilibrium
 from .material import SolidMaterial
 from .mesh import MeshSize, SolidMesh, solid_mesh
@@ -56,10 +56,11 @@ class SolidPoint:
     (m): the plate's travel along its normal from first touch of the unloaded shape; peak and mean
     pressure (Pa); semi_axis_a ≥ semi_axis_b (m), orientation (rad) of a from x, center_x, center_y
     (m): of the contact; tangential_x, tangential_y (N): force of the plate on the skin; shift_x,
-    shift_y (m): of the plate; stick_ratio: share of the area that slid by less than 5 % of the
-    plate's travel in the step, zero where the plate slides; slip_margin: 1 − |Q|/(μ P), at least
-    zero; Q is the pull that is given, if one is. Without contact, and without friction, these two
-    are NaN.
+    shift_y (m): of the plate; twist (rad): its turn about the normal; twist_torque (N m): of the
+    plate on the skin about the normal through the centre of pressure; stick_ratio: share of the
+    area that slid by less than 5 % of the plate's travel in the step, for a twist that of the edge,
+    zero where the plate slides; slip_margin: 1 − |Q|/(μ P), at least zero, whatever the torque; Q
+    is the pull that is given, if one is. Without contact, and without friction, these two are NaN.
     """
 
     time: float
@@ -78,6 +79,8 @@ class SolidPoint:
     tangential_y: float
     shift_x: float
     shift_y: float
+    twist: float
+    twist_torque: float
     stick_ratio: float
     slip_margin: float
 
@@ -146,7 +149,7 @@ class SolidState:
 
     slid (S, 2): way (m) of the skin's nodes along the plate since the newest step of the caller
     began; crept: see `creep_steps`; slide: None where some node sticks, or where the plate's force
-    along itself is not given.
+    along itself is not given; twist (rad): turn of the plate since the start.
     """
 
     time: float
@@ -156,6 +159,7 @@ class SolidState:
     slid: np.ndarray
     crept: np.ndarray
     slide: Slide | None = None
+    twist: float = 0.0
 
     def copy(self) -> SolidState:
         """Independent copy."""
@@ -255,7 +259,8 @@ class SolidStepper:
             np.zeros((len(model.mesh.surface), 2)),
             self._creep.at_rest(),
         )
-        self._plate_before = self.state.contact.plate
+        self._begun = self.state
+        """State when the newest step of the caller began."""
         self._before: SolidState | None = None
         with STEP_LOCK:
             model.equilibrium.forget()
@@ -266,25 +271,32 @@ class SolidStepper:
         force: float,
         tangential_force: tuple[float, float] | None = None,
         shift: tuple[float, float] | None = None,
+        twist: float | None = None,
     ) -> SolidPoint:
         """Advance to `time` (s) with the plate's normal force (N) going there linearly.
 
         Along the plate either its force on the skin (N) or its shift (m) since the start is given;
         by default it does not move. A tangential force beyond friction makes the plate slide.
-        F ≤ 0 is no contact. Raises ModelError when no equilibrium is found; the state is then
-        unchanged.
+        twist (rad): turn of the plate since the start, about its normal through the place of first
+        touch, which shifts with it; by default it does not turn. F ≤ 0 is no contact. Raises
+        InputError for a twist where the tangential force is given, and ModelError when no
+        equilibrium is found; the state is then unchanged.
         """
         with STEP_LOCK:
-            return self._advance(time, max(force, 0.0), None, tangential_force, shift)
+            return self._advance(time, max(force, 0.0), None, tangential_force, shift, twist)
 
     def step_to_position(
-        self, time: float, indentation: float, shift: tuple[float, float] | None = None
+        self,
+        time: float,
+        indentation: float,
+        shift: tuple[float, float] | None = None,
+        twist: float | None = None,
     ) -> SolidPoint:
-        """Advance to `time` (s) with the plate moving to `indentation` (m) from first touch and to
-        a shift (m) along itself; by default it does not shift. Creep does not divide such a step,
-        other than one of `step`."""
+        """Advance to `time` (s) with the plate moving to `indentation` (m) from first touch, to a
+        shift (m) along itself and a twist (rad); by default it does neither. Creep does not divide
+        such a step, other than one of `step`."""
         with STEP_LOCK:
-            return self._advance(time, None, indentation, None, shift)
+            return self._advance(time, None, indentation, None, shift, twist)
 
     @property
     def sliding(self) -> bool:
@@ -311,10 +323,12 @@ class SolidStepper:
         indentation: float | None,
         pull: tuple[float, float] | None,
         shift: tuple[float, float] | None,
+        twist: float | None,
     ) -> SolidPoint:
         """Advance to `time` in as many parts as creep and convergence need."""
         start, before = self.state, self._before
-        given = [v for v in (force, indentation, *(pull or ()), *(shift or ())) if v is not None]
+        values = (force, indentation, *(pull or ()), *(shift or ()), twist)
+        given = [value for value in values if value is not None]
         if not all(math.isfinite(v) for v in (time, *given)):
             raise InputError(f"step to t = {time} s and {given}: finite numbers are needed")
         if time < start.time:
@@ -324,6 +338,11 @@ class SolidStepper:
         sideways = (pull or (0.0, 0.0))[1], (shift or (0.0, 0.0))[1]
         if self.model.mesh.half and any(sideways):
             raise InputError("a load along y needs the whole finger: use half=False")
+        turn = 0.0 if twist is None else twist - start.twist
+        if turn and self.model.mesh.half:
+            raise InputError("a twist needs the whole finger: use half=False")
+        if turn and pull is not None:
+            raise InputError("a twist and a tangential force are given: give the shift instead")
         copies = self.model.mesh.copies
         old = start.contact
         begin = np.concatenate([old.plate, old.force.sum(axis=0)])
@@ -339,7 +358,7 @@ class SolidStepper:
             end[5], end[2] = force / copies, np.nan
         else:
             end[2] = self.model.tip_height + (indentation or 0.0)
-        self._plate_before = old.plate
+        self._begun = start
         self.state = replace(start, slid=np.zeros_like(start.slid))
         done, size = 0.0, 1.0
         while done < 1.0:
@@ -358,7 +377,7 @@ class SolidStepper:
             target = begin + goal * (end - begin)
             instant = start.time + goal * (time - start.time)
             try:
-                self._try(instant, Plate(target[:3], target[3:]))
+                self._try(instant, Plate(target[:3], target[3:]), start.twist + goal * turn)
             except (NotConverged, Crushed) as error:
                 # What was factorised on the way is of no use to a smaller step.
                 self.model.equilibrium.forget()
@@ -386,7 +405,7 @@ class SolidStepper:
             return f"{target[5] * self.model.mesh.copies:.4g} N"
         return f"{(target[2] - self.model.tip_height) * 1e3:.4g} mm"
 
-    def _try(self, time: float, plate: Plate) -> None:
+    def _try(self, time: float, plate: Plate, twist: float) -> None:
         """One step without cutting; leaves the state alone unless it converges."""
         state, friction = self.state, self.material.friction
         duration = time - state.time
@@ -405,7 +424,7 @@ class SolidStepper:
             contact.plate = state.contact.plate.copy()
             contact.plate[2] = float(x[self.model.mesh.surface, 2].min())
         else:
-            x, contact, slide = self._solve(plate, material)
+            x, contact, slide = self._solve(plate, twist, material)
         self._before = state
         before = float(self.plate_force[2])
         skin = x[self.model.mesh.surface, :2]
@@ -413,17 +432,17 @@ class SolidStepper:
         slid[contact.status == STICK] = state.slid[contact.status == STICK]
         slid[contact.status == OPEN] = 0.0
         tissue = self.solid.update(duration, state.tissue, x)
-        self.state = SolidState(time, x, contact, tissue, slid, state.crept, slide)
+        self.state = SolidState(time, x, contact, tissue, slid, state.crept, slide, twist)
         after = float(self.plate_force[2])
         self.state.crept = self._creep.followed(state.crept, duration, before, after)
 
     def _solve(
-        self, plate: Plate, material: StepMaterial
+        self, plate: Plate, twist: float, material: StepMaterial
     ) -> tuple[np.ndarray, Contact, Slide | None]:
         """Positions and contact; a plate that slides lies where no node sticks any more."""
         state, friction = self.state, self.material.friction
-        x, contact = self._guess(plate)
-        contact.anchor = self._anchor(state, x, contact)
+        x, contact = self._guess(plate, twist)
+        contact.anchor = self._anchor(state, x, contact, twist)
         contact.begun = state.contact.force[:, :2].copy()
         pulled = np.isnan(plate.position[:2])
         if not pulled.any():
@@ -492,9 +511,12 @@ class SolidStepper:
         x, contact = solve(x, contact, material, friction, Plate(position, force))
         return solve(x, contact, material, friction, plate)
 
-    def _anchor(self, state: SolidState, x: np.ndarray, contact: Contact) -> np.ndarray:
+    def _anchor(
+        self, state: SolidState, x: np.ndarray, contact: Contact, twist: float
+    ) -> np.ndarray:
         """Places (S, 2) on the plate where nodes stick: where they were when the step began or,
-        for open nodes, where they touch on the way to the guess x of the step's end."""
+        for open nodes, where they touch on the way to the guess x of the step's end; then turned
+        with the plate."""
         surface = self.model.mesh.surface
         before, after = state.positions[surface], x[surface]
         start = before[:, :2] - state.contact.plate[:2]
@@ -503,9 +525,13 @@ class SolidStepper:
         part = np.zeros(len(gap))
         comes = (state.contact.status == OPEN) & (approach > 0.0)
         part[comes] = np.clip(gap[comes] / approach[comes], 0.0, 1.0)
-        return start + part[:, None] * (after[:, :2] - contact.plate[:2] - start)
+        touched = start + part[:, None] * (after[:, :2] - contact.plate[:2] - start)
+        turn = (1.0 - part) * (twist - state.twist)
+        x, y = touched.T
+        cosine, sine = np.cos(turn), np.sin(turn)
+        return np.column_stack([cosine * x - sine * y, sine * x + cosine * y])
 
-    def _guess(self, plate: Plate) -> tuple[np.ndarray, Contact]:
+    def _guess(self, plate: Plate, twist: float) -> tuple[np.ndarray, Contact]:
         """Starting positions and contact of a step: extrapolation, or Hertz at first touch."""
         state, before = self.state, self._before
         surface = self.model.mesh.surface
@@ -529,20 +555,23 @@ class SolidStepper:
                 contact.status[np.argmin(x[surface, 2])] = touching
             return x, contact
         if before is not None and before.contact.status.any():
+            length = self.model.equilibrium.length
             past = np.concatenate(
                 [
+                    [length * (state.twist - before.twist)],
                     state.contact.plate - before.contact.plate,
                     (state.contact.force - before.contact.force).sum(axis=0),
                 ]
             )
             now = np.concatenate(
                 [
+                    [length * (twist - state.twist)],
                     plate.position - state.contact.plate,
                     plate.force - state.contact.force.sum(axis=0),
                 ]
             )
             ratios = []
-            for kind in (slice(0, 3), slice(3, 6)):
+            for kind in (slice(0, 4), slice(4, 7)):
                 known = ~np.isnan(now[kind])
                 a, b = past[kind][known], now[kind][known]
                 if float(b @ b) > 0.0:
@@ -568,19 +597,22 @@ class SolidStepper:
         areas = node_areas(mesh, skin)
         shape = outline(mesh, skin, state.contact, areas)
         qx, qy, force = (float(v) for v in self.plate_force)
+        radius = math.sqrt(shape.area / math.pi)
         bound = self.material.friction * force
         stick = margin = math.nan
         if bound > 0.0 and state.slide is not None:
             stick, margin = 0.0, 1.0 - state.slide.share
         elif bound > 0.0:
-            travel = float(np.linalg.norm(state.contact.plate - self._plate_before))
+            turn = radius * (state.twist - self._begun.twist)
+            moved = state.contact.plate - self._begun.contact.plate
+            travel = float(np.linalg.norm([*moved, turn]))
             stick = stick_ratio(mesh, skin, state.contact, state.slid, travel)
             margin = max(1.0 - math.hypot(qx, qy) / bound, 0.0)
         return SolidPoint(
             time=state.time,
             force=force,
             area=shape.area,
-            radius=math.sqrt(shape.area / math.pi),
+            radius=radius,
             indentation=self.indentation,
             peak_pressure=float(pressure(mesh, state.contact, areas).max(initial=0.0)),
             mean_pressure=mean_pressure(force, shape.area),
@@ -593,6 +625,8 @@ class SolidStepper:
             tangential_y=qy,
             shift_x=float(state.contact.plate[0]),
             shift_y=float(state.contact.plate[1]),
+            twist=state.twist,
+            twist_torque=0.0 if mesh.half else twist_torque(skin, state.contact.force),
             stick_ratio=stick,
             slip_margin=margin,
         )

@@ -14,7 +14,16 @@ from matplotlib.figure import Figure
 from finger_common.files import atomic_write
 
 from ..figures import save
-from . import fingers, frictions, homogeneous, numerics, pulled_spheres, solids, spheres
+from . import (
+    fingers,
+    frictions,
+    homogeneous,
+    numerics,
+    pulled_spheres,
+    solids,
+    spheres,
+    twisted_spheres,
+)
 from .check import Check
 
 CHECKS: dict[str, Callable[[], Check]] = {
@@ -40,6 +49,7 @@ CHECKS: dict[str, Callable[[], Check]] = {
     "disc": frictions.disc,
     "solid_axisymmetric": solids.axisymmetric,
     "solid_mindlin": pulled_spheres.cattaneo_mindlin,
+    "solid_twist": twisted_spheres.twisted,
     "solid_shear": solids.shear,
     "solid_tilt": solids.tilted,
     "solid_ellipse": solids.elliptical,

@@ -13,6 +13,7 @@ from scipy.optimize import minimize_scalar
 
 from ..fem.equilibrium import SLIP
 from ..geometry import Geometry
+from ..material import Material
 from ..solid3d.full_order import SolidModel
 from ..solid3d.mesh import MeshSize, solid_mesh
 from .cases import elastic
@@ -56,10 +57,22 @@ class Theory:
         return FRICTION * cls.normal / cls.tangential * (before**2 - after**2) / RADIUS
 
 
-def half_ball(across: int) -> SolidModel:
+def rubber() -> Material:
+    """What the half-ball is made of."""
+    return elastic(
+        MODULUS,
+        E2=MODULUS,
+        friction=FRICTION,
+        poisson_ratio_bulk=RATIO,
+        poisson_ratio_epidermis=RATIO,
+    )
+
+
+def half_ball(across: int, half: bool = True) -> SolidModel:
     """Homogeneous half-ball held on its flat side, with a small rigid core.
 
-    across: elements over half the width of the central block, as in `MeshSize`.
+    across: elements over half the width of the central block, as in `MeshSize`; half: by the
+    symmetry of a pull.
     """
     spacing = BLOCK * CONTACT * RADIUS / across
     skin = 4
@@ -76,7 +89,7 @@ def half_ball(across: int) -> SolidModel:
         nail_radius=0.0,
     )
     size = MeshSize(BLOCK * CONTACT / (0.5 * math.pi), across, 1.4, layers, growth, skin)
-    mesh = solid_mesh(geometry, None, size)
+    mesh = solid_mesh(geometry, None, size, half)
     fixed = mesh.fixed.copy()
     fixed[mesh.nodes[:, 2] > -1e-12] = True
     return SolidModel(geometry, mesh=replace(mesh, fixed=fixed))
@@ -86,14 +99,7 @@ class Pull:
     """A half-ball pressed and pulled by given loads."""
 
     def __init__(self, model: SolidModel) -> None:
-        material = elastic(
-            MODULUS,
-            E2=MODULUS,
-            friction=FRICTION,
-            poisson_ratio_bulk=RATIO,
-            poisson_ratio_epidermis=RATIO,
-        )
-        self.stepper = model.start(material)
+        self.stepper = model.start(rubber())
         self.turn()
 
     def turn(self) -> None:
