@@ -131,14 +131,23 @@ class Observer:
         self._executor = rclpy.executors.SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
 
-    def listen(self, kind: Any, topic: str, depth: int = 200, reliable: bool = False) -> list[Any]:
+    def listen(
+        self,
+        kind: Any,
+        topic: str,
+        depth: int = 200,
+        reliable: bool = False,
+        latched: bool = False,
+    ) -> list[Any]:
+        """Messages as they come; latched: also those from before the two have found each other."""
         from rclpy.qos import QoSProfile, ReliabilityPolicy
 
+        from finger_common.node import LATCHED_QOS
+
         reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
+        profile = LATCHED_QOS if latched else QoSProfile(depth=depth, reliability=reliability)
         got: list[Any] = []
-        self.node.create_subscription(
-            kind, topic, got.append, QoSProfile(depth=depth, reliability=reliability)
-        )
+        self.node.create_subscription(kind, topic, got.append, profile)
         return got
 
     def until(

@@ -313,7 +313,7 @@ def test_moisture_node_publishes_readings_and_what_the_operator_enters(
     from finger_msgs.msg import Moisture
     from finger_msgs.srv import SetMoisture
 
-    readings = observer.listen(Moisture, "moisture", 10, True)
+    readings = observer.listen(Moisture, "moisture", latched=True)
     link = tmp_path / "port"
     with device("serial", "--link", link) as probe:
         process(
