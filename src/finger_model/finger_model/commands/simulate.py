@@ -178,7 +178,7 @@ def _solver(
     Raises InputError for options that do not go together.
     """
     fields = bool(arguments.plot or arguments.vtu)
-    if Path(arguments.plot or "").suffix not in ("", ".png", ".PNG"):
+    if Path(arguments.plot or "").suffix.lower() not in ("", ".png"):
         raise InputError(f"--plot {arguments.plot}: is drawn as PNG; give a name that ends in .png")
     default_mesh = arguments.refinement == 1.0 and arguments.elasticity == NEO_HOOKE
     full = arguments.solver == "full" or fields or not default_mesh

@@ -26,6 +26,8 @@ TOLERANCE = 2e-5
 ITERATIONS = 40
 MOST_HALVINGS = 6
 """Halvings of one step in a row."""
+BELOW = 1e-6
+"""Depth below the plate, over the finger's height, to which a node counts as on it."""
 SLOW = 0.25
 """Ratio of two residuals above which the stiffness is factorised again."""
 
@@ -134,7 +136,7 @@ class Equilibrium:
                 self.residuals.append(norm)
             if iteration and norm < TOLERANCE:
                 gap = x[surface, 2] - contact.plate[2]
-                if not np.any(gap < -1e-6 * self.length):
+                if not np.any(gap < -BELOW * self.length):
                     return x, contact
                 self._choose(x, contact)
                 continue
