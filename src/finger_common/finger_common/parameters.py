@@ -18,10 +18,25 @@ from typing import Any
 
 from .errors import InputError, known_names
 
-_TYPES = {bool: "boolean", int: "integer", float: "number", str: "text", list: "list"}
+_TYPES = {
+    bool: "boolean is needed; write true or false",
+    int: "integer is needed; write it with digits alone, without quotes and unit",
+    float: "number is needed; write it with a decimal point, without quotes and unit",
+    str: "text is needed; put it in quotes",
+    list: "list is needed; put it in [ ]",
+}
 
 _EXPONENT = re.compile(r"[-+]?[0-9]+[eE][-+]?[0-9]+")
 """Numbers such as 1e6, which YAML 1.1 reads as text."""
+
+
+def _in_type(value: Any, kind: type) -> Any:
+    """A whole number, or one as YAML 1.1 reads it, as the number that is needed."""
+    if kind is float and (
+        type(value) is int or (isinstance(value, str) and _EXPONENT.fullmatch(value))
+    ):
+        return float(value)
+    return value
 
 
 @dataclass(frozen=True)
@@ -49,17 +64,19 @@ class Parameter:
         allowed.
         """
         kind = type(self.default)
-        if kind is float and isinstance(value, int) and not isinstance(value, bool):
-            value = float(value)
-        if kind is float and isinstance(value, str) and _EXPONENT.fullmatch(value):
-            value = float(value)
-        if kind is list:
-            value = (
-                list(value) if isinstance(value, Sequence) and not isinstance(value, str) else value
-            )
+        if kind is list and isinstance(value, Sequence) and not isinstance(value, str):
+            # An empty list is one of texts.
+            of = type([*self.default, ""][0])
+            value = items = [_in_type(item, of) for item in value]
+        else:
+            of = kind
+            value = _in_type(value, kind)
+            items = [value]
         if type(value) is not kind:
-            raise InputError(f"parameter '{self.name}' is {value!r}, {_TYPES[kind]} is needed")
-        for item in value if kind is list else [value]:
+            raise InputError(f"parameter '{self.name}' is {value!r}, {_TYPES[kind]}")
+        for item in items:
+            if type(item) is not of:
+                raise InputError(f"parameter '{self.name}' holds {item!r}, {_TYPES[of]}")
             if isinstance(item, float) and not math.isfinite(item):
                 raise InputError(f"parameter '{self.name}' is {item}, a finite number is needed")
             if self.choices is not None and item not in self.choices:

@@ -28,25 +28,32 @@ TABLE = ParameterTable(
     Parameter("rate", 500.0, "Poll rate.", unit="Hz", minimum=1, maximum=2000, runtime=True),
     Parameter("axis", "+z", "Normal axis.", choices=("+z", "-z")),
     Parameter("names", ["a"], "Names."),
+    Parameter("factors", [0.5], "Factors."),
     Parameter("on", True, "Switch."),
 )
 
 
 def test_defaults_are_filled_in_and_integers_count_as_numbers() -> None:
-    values = TABLE.check({"rate": 100})
-    assert values == {"rate": 100.0, "axis": "+z", "names": ["a"], "on": True}
+    values = TABLE.check({"rate": 100, "factors": [1, 0.2]})
+    expected = {"rate": 100.0, "axis": "+z", "names": ["a"], "factors": [1.0, 0.2], "on": True}
+    assert values == expected
     assert isinstance(values["rate"], float)
+    assert [type(factor) for factor in values["factors"]] == [float, float]
 
 
 @pytest.mark.parametrize(
     ("values", "words"),
     [
         ({"rate": 0.5}, ["'rate'", "0.5", "1 … 2000 Hz"]),
-        ({"rate": "fast"}, ["'rate'", "number"]),
+        ({"rate": "1,35"}, ["'rate'", "number", "decimal point"]),
+        ({"axis": 0}, ["'axis'", "put it in quotes"]),
         ({"rate": float("nan")}, ["'rate'", "finite"]),
         ({"rate": True}, ["'rate'", "number"]),
         ({"axis": "up"}, ["'axis'", "+z, -z"]),
         ({"names": "a"}, ["'names'", "list"]),
+        ({"names": ["a", 2]}, ["'names'", "2", "put it in quotes"]),
+        ({"names": [True]}, ["'names'", "True", "put it in quotes"]),
+        ({"factors": [0.1, "x"]}, ["'factors'", "'x'", "number"]),
         ({"rat": 1.0}, ["'rat'", "rate"]),
     ],
 )

@@ -159,6 +159,7 @@ def test_a_refused_value_leaves_type_and_value(bench: Bench) -> None:
         ("gain", None, "number is needed"),
         ("mode", 3, "text is needed"),
         ("names", 3.0, "list is needed"),
+        ("names", [1, 2], "holds 1, text is needed; put it in quotes"),
     ):
         refused = bench.set(name, value)
         assert not refused.successful and says in refused.reason, refused.reason
@@ -176,7 +177,10 @@ def test_a_refused_value_leaves_type_and_value(bench: Bench) -> None:
 
 
 def test_a_bad_value_at_start_leaves_the_node_up_until_it_is_corrected(bench: Bench) -> None:
-    gauge = bench.gauge(gain=2, count=99, names=[])
+    gauge = bench.gauge(gain=2, count=99, names=[True])
+    refused = bench.set("names", [2])
+    assert not refused.successful and "text is needed" in refused.reason
+    assert bench.set("names", []).successful
     assert gauge.get_parameter("gain").value == 2.0
     assert gauge.get_parameter("names").value == []
     assert not gauge.bring_up()
