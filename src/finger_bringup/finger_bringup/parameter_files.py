@@ -42,6 +42,7 @@ class ParameterFile:
                     f"{self.path}: '{node}' has {others} beside 'ros__parameters', which ROS does "
                     "not take; move that to a section of its own"
                 )
+            _check_values(values, f"{self.path}: '{node}'")
             found[node] = {**found.get(node, {}), **values}
         return found
 
@@ -66,6 +67,29 @@ def _below_namespaces(data: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
                 yield f"{name}".rstrip("/") + "/" + f"{below}".lstrip("/"), found
         else:
             yield name, section
+
+
+def _check_values(values: Mapping[str, Any], where: str) -> None:
+    """Raise InputError, naming `where` and the key, for what ROS does not read: it would say a line
+    of its own source. A mapping holds parameters whose names begin with its key."""
+    for name, value in values.items():
+        if isinstance(value, dict):
+            _check_values(value, f"{where}: '{name}'")
+        elif value is None:
+            raise InputError(
+                f"{where}: '{name}' has no value; give one, or leave it out (a decimal comma is "
+                "written as a point)"
+            )
+        elif isinstance(value, list):
+            # Dates are text to ROS.
+            kinds = {k if k in (bool, int, float, dict, list) else str for k in map(type, value)}
+            if kinds & {dict, list}:
+                raise InputError(f"{where}: '{name}' is a list of lists; write it as [a, b]")
+            if len(kinds) > 1:
+                raise InputError(
+                    f"{where}: '{name}' holds values of several types; put all of them in quotes, "
+                    "or give all a decimal point"
+                )
 
 
 def matches(pattern: str, node: str) -> bool:

@@ -272,6 +272,10 @@ def test_namespaces_of_a_parameter_file_may_be_nested(tmp_path: Path) -> None:
         ),
         ("hand:\n  force: {rate: 500.0}\n", "'hand/force' has no 'ros__parameters'"),
         ("a: [1\n", "not valid YAML"),
+        ("/**/force:\n  ros__parameters: {rate: 1,35}\n", "'/**/force': '35' has no value; give"),
+        ("/**/force:\n  ros__parameters: {qos: {depth: }}\n", "'qos': 'depth' has no value; give"),
+        ("/**/page:\n  ros__parameters: {hosts: [a, 1]}\n", "'hosts' holds values of several"),
+        ("/**/page:\n  ros__parameters: {hosts: [[a], [b]]}\n", "'hosts' is a list of lists"),
     ],
 )
 def test_a_file_that_is_no_parameter_file_is_named(tmp_path: Path, text: str, says: str) -> None:
