@@ -328,19 +328,29 @@ class ReadyLine:
     def __init__(self, pages: int) -> None:
         self._pages = pages
         self._addresses: dict[str, str] = {}
+        self._refused: dict[str, str] = {}
+        """Why a page is not served."""
         self._active = False
 
     def take(self, text: str) -> str:
         """One line of output; returns what to print when it makes the rig ready, else ""."""
         found = re.search(r"(?:\[([\w.]*?)\.?page\]:? )?operator's page: (\S+)", text)
+        refused = re.search(r"\[([\w.]*?)\.?page\]:? (?:configure|activate) failed: (.+)", text)
         if found:
             self._addresses[found[1] or ""] = found[2]
+            self._refused.pop(found[1] or "", None)
+        elif refused:
+            self._refused[refused[1]] = refused[2]
         elif ALL_ACTIVE in text:
             self._active = True
         else:
             return ""
-        if not self._active or len(self._addresses) < self._pages:
+        if not self._active or len(self._addresses) + len(self._refused) < self._pages:
             return ""
+        if self._refused:
+            return (
+                f"ready but for the page, which is not served: {'; '.join(self._refused.values())}"
+            )
         self._active = False
         if self._pages < 2:
             return ": page at ".join(("all ready", *self._addresses.values()))

@@ -369,6 +369,18 @@ def test_the_ready_line_comes_once_all_are_active_and_the_page_is_served() -> No
     assert ReadyLine(pages=0).take(active) == "all ready"
 
 
+def test_a_rig_whose_page_is_refused_is_not_called_ready() -> None:
+    active = f"[INFO] [1.0] [finger.bring_up]: {ALL_ACTIVE}: force, camera"
+    why = "parameter 'port' is 808080, outside 0 … 65535; correct it"
+    refused = f"[ERROR] [1.0] [finger.page]: configure failed: {why}"
+    served = "[INFO] [2.0] [finger.page]: operator's page: http://127.0.0.1:8080/"
+    told = f"ready but for the page, which is not served: {why}"
+    for lines in ([refused, active], [active, refused]):
+        ready = ReadyLine(pages=1)
+        assert [ready.take(line) for line in lines] == ["", told]
+        assert ready.take(served) == "all ready: page at http://127.0.0.1:8080/"
+
+
 def test_the_ready_line_names_the_pages_of_all_fingers() -> None:
     ready = ReadyLine(pages=2)
     pages = [
