@@ -176,7 +176,10 @@ class RecorderNode(ManagedNode):
         self._topics: dict[str, _Topic] = {}
         self._definitions: dict[str, str] = {}
         """Definitions of types that `definitions` does not know, as installed."""
-        for entry in self.settings(RecordingSettings).topics:
+        topics = self.settings(RecordingSettings).topics
+        if not topics:
+            raise InputError("parameter 'topics' is empty; name what is recorded")
+        for entry in topics:
             name, _, kind = entry.partition("=")
             spec = spec_of(name)
             if kind and spec is not None and spec.type != kind:

@@ -900,3 +900,14 @@ def test_a_recording_to_which_nothing_comes_names_where_there_are_streams(
         wait_until(lambda: node._recorder.counts.get("/wrench"), "the force")
         assert not said() and "nothing came" not in node._doubts(node._finish())
         rig.destroy_node()
+
+
+def test_a_recorder_without_topics_is_refused_before_it_records_nothing(node: Any) -> None:
+    from rclpy.parameter import Parameter
+
+    node.trigger_deactivate()
+    node.trigger_cleanup()
+    empty = Parameter("topics", Parameter.Type.STRING_ARRAY, [])
+    assert node.set_parameters_atomically([empty]).successful
+    assert not node.bring_up()
+    assert "'topics' is empty" in str(node.refused)

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -174,6 +175,14 @@ def test_a_refused_value_leaves_type_and_value(bench: Bench) -> None:
     assert gauge.values["gain"] == 3.0
     assert bench.set("names", []).successful
     assert gauge.get_parameter("names").type_ is Parameter.Type.STRING_ARRAY
+
+
+def test_an_empty_list_in_a_parameter_file_is_an_empty_list(bench: Bench, tmp_path: Path) -> None:
+    file = tmp_path / "parameters.yaml"
+    file.write_text("/**/gauge:\n  ros__parameters: {names: []}\n")
+    arguments = ["--ros-args", "--params-file", str(file)]
+    gauge = bench.add(Gauge(context=bench.context, cli_args=arguments))
+    assert gauge.bring_up() and gauge.values["names"] == []
 
 
 def test_a_bad_value_at_start_leaves_the_node_up_until_it_is_corrected(bench: Bench) -> None:

@@ -145,6 +145,8 @@ class ManagedNode(LifecycleNode):
             override = self._parameter_overrides.get(parameter.name)
             try:
                 given = parameter.default if override is None else override.value
+                if given is None and isinstance(parameter.default, list):
+                    given = []  # as ROS reads [] of a file
                 value = ros_value(parameter, given)
             except InputError as error:
                 # The node stays up, so that the value can be corrected.
