@@ -30,6 +30,10 @@ _EXPONENT = re.compile(r"[-+]?[0-9]+[eE][-+]?[0-9]+")
 """Numbers such as 1e6, which YAML 1.1 reads as text."""
 
 
+_ROS_NAME = re.compile(r"(~?/)?[A-Za-z_{][A-Za-z0-9_{}]*(/[A-Za-z_{][A-Za-z0-9_{}]*)*")
+"""Names of topics and services, with {node} and the like."""
+
+
 def _in_type(value: Any, kind: type) -> Any:
     """A whole number, or one as YAML 1.1 reads it, as the number that is needed."""
     if kind is float and (
@@ -58,6 +62,8 @@ class Parameter:
     """What to try with it when in trouble."""
     group: str = ""
     """Heading under which the help of a command lists it."""
+    ros_name: bool = False
+    """Whether it is the name of a topic or of a service."""
 
     def check(self, value: Any) -> Any:
         """The value in the parameter's type; raises InputError with key, value and what is
@@ -82,6 +88,11 @@ class Parameter:
             if self.choices is not None and item not in self.choices:
                 allowed = ", ".join(map(str, self.choices))
                 raise InputError(f"parameter '{self.name}' is {item!r}, choose one of {allowed}")
+            if self.ros_name and not _ROS_NAME.fullmatch(item):
+                raise InputError(
+                    f"parameter '{self.name}' is {item!r}, which is no name of ROS; use letters of "
+                    f"English, digits, '_' and '/', as in {self.default}"
+                )
             low = self.minimum is not None and item < self.minimum
             high = self.maximum is not None and item > self.maximum
             if low or high:

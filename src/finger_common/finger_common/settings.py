@@ -41,6 +41,7 @@ def setting(
     runtime: bool = False,
     advice: str = "",
     group: str = "",
+    ros_name: bool = False,
 ) -> Any:
     """A field of a `Settings` dataclass; the arguments are those of `parameters.Parameter`."""
     described = {
@@ -53,6 +54,7 @@ def setting(
         "runtime": runtime,
         "advice": advice,
         "group": group,
+        "ros_name": ros_name,
     }
     if isinstance(default, list):
         return dataclasses.field(

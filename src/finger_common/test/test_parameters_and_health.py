@@ -29,14 +29,15 @@ TABLE = ParameterTable(
     Parameter("axis", "+z", "Normal axis.", choices=("+z", "-z")),
     Parameter("names", ["a"], "Names."),
     Parameter("factors", [0.5], "Factors."),
+    Parameter("topic", "wrench", "Topic.", ros_name=True),
     Parameter("on", True, "Switch."),
 )
 
 
 def test_defaults_are_filled_in_and_integers_count_as_numbers() -> None:
-    values = TABLE.check({"rate": 100, "factors": [1, 0.2]})
-    expected = {"rate": 100.0, "axis": "+z", "names": ["a"], "factors": [1.0, 0.2], "on": True}
-    assert values == expected
+    values = TABLE.check({"rate": 100, "factors": [1, 0.2], "topic": "/a/b_2"})
+    usual = {"axis": "+z", "names": ["a"], "on": True}
+    assert values == {**usual, "rate": 100.0, "factors": [1.0, 0.2], "topic": "/a/b_2"}
     assert isinstance(values["rate"], float)
     assert [type(factor) for factor in values["factors"]] == [float, float]
 
@@ -54,6 +55,10 @@ def test_defaults_are_filled_in_and_integers_count_as_numbers() -> None:
         ({"names": ["a", 2]}, ["'names'", "2", "put it in quotes"]),
         ({"names": [True]}, ["'names'", "True", "put it in quotes"]),
         ({"factors": [0.1, "x"]}, ["'factors'", "'x'", "number"]),
+        *(
+            ({"topic": name}, ["'topic'", repr(name), "as in wrench"])
+            for name in ("my wrench", "größe", "", "wrench/", "/finger//wrench", "1w", "a-b")
+        ),
         ({"rat": 1.0}, ["'rat'", "rate"]),
     ],
 )

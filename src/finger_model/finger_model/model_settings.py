@@ -16,7 +16,7 @@ from .reduced.model import POPULATION
 class ModelSettings(Settings):
     """What the node loads and listens to."""
 
-    wrench_topic: str = setting("wrench", "Topic of the tared force.")
+    wrench_topic: str = setting("wrench", "Topic of the tared force.", ros_name=True)
     parameter_file: str = setting(
         "",
         "parameters.yaml of a fit; empty for the shipped sets of the paper's three conditions.",

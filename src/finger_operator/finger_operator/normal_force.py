@@ -25,7 +25,9 @@ def normal_axis_setting(advice: str) -> str:
 
 def wrench_topic_setting() -> str:
     """Field of Settings: the topic of the force."""
-    return setting("wrench", "Topic of the tared force; the model's parameter of the same name.")
+    return setting(
+        "wrench", "Topic of the tared force; the model's parameter of the same name.", ros_name=True
+    )
 
 
 class NormalForce:

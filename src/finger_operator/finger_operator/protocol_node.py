@@ -135,7 +135,9 @@ class ProtocolSettings(Settings):
         "sign."
     )
     recorder_service: str = setting(
-        "recorder/record", "Service that starts and stops the recording of a trial."
+        "recorder/record",
+        "Service that starts and stops the recording of a trial.",
+        ros_name=True,
     )
     watched: list = setting(
         ["force", "camera", "vision", "recorder"],
