@@ -12,6 +12,7 @@ node (`launch.actions`); entries that are composed become one command.
 
 from __future__ import annotations
 
+import importlib
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -24,7 +25,6 @@ from finger_common.errors import InputError, known_names, nearest
 from finger_common.namespaces import DEFAULT_NAMESPACE, check_namespace, own_name
 from finger_common.subject_code import FINGERS
 from finger_common.trial_phases import TARGET_FORCE
-from finger_driver.force import SOURCES as FORCE_SOURCES
 from finger_sim.addresses import RigAddresses
 
 from .parameter_files import NO_PARAMETER_FILE, ParameterFile, matches, write_parameter_file
@@ -345,11 +345,17 @@ def without_effect(
     return f"{parameter_file.path}: {sections} of no node that runs here, and without effect"
 
 
-def _address(values: Mapping[str, Any]) -> str:
-    """What tells the sensor of a node `force` of these parameters from others; empty where it is
-    not known."""
+_DEVICES = {"force": "sensor", "camera": "camera"}
+"""What two fingers must not share, by the node that reads it and the package of its drivers."""
+
+
+def _address(node: str, values: Mapping[str, Any]) -> str:
+    """What tells the device of a node of these parameters from others; empty where it is not
+    known."""
+    # Not before it is needed: cameras take a while to import.
+    kinds = importlib.import_module(f"finger_driver.{node}").SOURCES
     try:
-        kind = FORCE_SOURCES.load(str(values.get(FORCE_SOURCES.choice, FORCE_SOURCES.default)))
+        kind = kinds.load(str(values.get(kinds.choice, kinds.default)))
         return str(kind.SETTINGS.select(values).address())
     except InputError:
         return ""  # the node itself says what is wrong
@@ -358,22 +364,24 @@ def _address(values: Mapping[str, Any]) -> str:
 def shared_sensors(
     entries: Iterable[NodeEntry], namespace: str, parameter_file: ParameterFile
 ) -> str:
-    """A sentence that names the nodes of several fingers which read one sensor or one wrench, as
-    where a section was copied; empty where there are none.
+    """A sentence that names the nodes of several fingers which read one sensor, camera or wrench,
+    as where a section was copied; empty where there are none.
     """
+    entries = list(entries)
+    names = [entry.name for entry in entries]
     readers: dict[str, list[str]] = {}
-    for entry in entries:
+    for entry in (entry for entry in entries if names.count(entry.name) > 1):
         name = entry.full_name(namespace)
         values = {**parameter_file.values_of(name), **entry.parameters}
         if entry.name == "model":
             topic = str(values.get("wrench_topic", "wrench"))
             own = f"{entry.namespace(namespace).rstrip('/')}/"
             what = "wrench_topic " + (topic if topic.startswith("/") else own + topic)
-        elif entry.name == "force":
-            address = _address(values)
+        elif entry.name in _DEVICES:
+            address = _address(entry.name, values)
             if not address:
                 continue
-            what = f"sensor ({address})"
+            what = f"{_DEVICES[entry.name]} ({address})"
         else:
             continue
         readers.setdefault(what, []).append(f"'{name}'")

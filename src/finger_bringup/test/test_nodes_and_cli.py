@@ -181,6 +181,13 @@ def test_the_rigs_own_file_has_no_section_without_effect() -> None:
             {"*/force": "{device: netft, netft_host: ft1}"},
             "read the same sensor (netft_host ft1)",
         ),
+        (
+            {"*/camera": "{device: folder, path: /frames}"},
+            "'/hand/thumb/camera', '/hand/index/camera' read the same camera (path /frames); give",
+        ),
+        ({"*/camera": "{path: '0'}", "index/camera": "{path: '2'}"}, ""),
+        ({"*/camera": "{device: ueye}"}, "read the same camera (camera_id 0)"),
+        ({"*/camera": "{device: ueye}", "index/camera": "{camera_id: 2}"}, ""),
         ({"*/force": "{base_identifier: many}"}, ""),  # the node itself says what is wrong
         ({"*/force": "{device: of_somebody, netft_host: ft1}"}, ""),
     ],
@@ -195,7 +202,8 @@ def test_two_fingers_on_one_sensor_are_named(
     lines = {**sections, **apart}.items()
     own.write_text("".join(f"/hand/{k}:\n  ros__parameters: {v}\n" for k, v in lines))
     file = ParameterFile(own)
-    told = nodes.shared_sensors(nodes.hand(["thumb", "index"]), "hand", file)
+    kinds = ["force", "camera", "model"]
+    told = nodes.shared_sensors(nodes.hand(["thumb", "index"], kinds), "hand", file)
     assert says in told and bool(told) == bool(says)
     assert nodes.shared_sensors(nodes.hand(["thumb"]), "hand", file) == ""
     _, devices = nodes.simulated_boards(["thumb", "index"])

@@ -39,6 +39,10 @@ class CameraSettings(Settings):
         0.0, "Exposure time requested; 0 leaves it as it is.", unit="s", minimum=0.0, maximum=10.0
     )
 
+    def address(self) -> str:
+        """What tells this camera from others, in words; empty where nobody knows."""
+        return f"path {self.path}" if self.path else ""
+
 
 @dataclass(frozen=True)
 class Frame:

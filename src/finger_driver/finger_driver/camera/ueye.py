@@ -67,6 +67,9 @@ class UeyeSettings(CameraSettings):
         advice="Lower it when frames are lost on USB.",
     )
 
+    def address(self) -> str:
+        return f"camera_id {self.camera_id}"
+
 
 class UeyeSource(CameraSource):
     """IDS or Thorlabs uEye camera."""
