@@ -7,7 +7,7 @@
 
 The node answers every `contact_slip` with the force to grip with, on `grip_force`
 (std_msgs/Float64, N). Each setting of `SlipGrip`, the controller itself, is a parameter of the
-node. While no `contact_slip` comes, it repeats its force. The controller uses no ROS and needs no
+node. While no `contact_slip` comes, it holds harder. The controller uses no ROS and needs no
 camera.
 """
 
@@ -40,8 +40,11 @@ RELEASED = 0.2
 """Share of the commanded force below which a contact ends that is let go. A force that is gone from
 one sample to the next is that of another zero: the object is still held."""
 
-STALE_AFTER = 0.05
-"""s without a contact_slip after which the node repeats its force."""
+STALE_AFTER = 0.1
+"""s without a contact_slip after which the grip answers that none comes."""
+
+SETTLED = 1.0
+"""s without such a silence after which contact_slip counts as coming again."""
 
 
 @dataclass
@@ -95,6 +98,8 @@ class SlipGrip:
     _tried: float = field(default=SAFE, init=False)
     _ratio: float = field(default=SAFE, init=False)
     _base: tuple[float, float] | None = field(default=None, init=False)
+    _unseen: float = field(default=0.0, init=False)
+    _seen: float = field(default=0.0, init=False)
 
     def __post_init__(self) -> None:
         check_numbers(self, free=("force", "margin"))
@@ -103,6 +108,7 @@ class SlipGrip:
         if self.smallest > self.largest:
             raise ValueError(f"smallest, {self.smallest:g}, is above largest, {self.largest:g}")
         self._first = self.smallest if math.isnan(self.force) else self.force
+        self._seen = self.force
 
     def on_slip(
         self,
@@ -134,11 +140,11 @@ class SlipGrip:
             empty = flags & SlipFlag.NO_CONTACT and abs(normal) < EMPTY
             self._open_since = min(self._open_since, stamp) if empty else math.inf
             if self._released and stamp - self._open_since > LET_GO:
-                self.force = self._first
+                self.force, self._unseen = self._first, 0.0
             return self.force
         self._open_since = math.inf
         if math.isnan(self.force):
-            self.force = min(max(normal, self.smallest), self.largest)
+            self.force = self._seen = min(max(normal, self.smallest), self.largest)
         if before - self._known > LET_GO:
             self._kept, self._tried, self._ratio = 0.0, SAFE, SAFE
         self._known = stamp
@@ -154,6 +160,8 @@ class SlipGrip:
             self._base = self._base or (self.force, load)
             wanted = self._base[0] + (load - self._base[1]) / self._ratio
         else:
+            # After a silence: back to the ratio that held before.
+            self.force = min(self.force, max(self._seen, load / self._ratio))
             self._base, self._ratio = None, max(load / self.force, SAFE)
         if guess and not doubted:
             if load > 0.9 * self._tried * normal:
@@ -162,6 +170,7 @@ class SlipGrip:
         self._kept *= math.exp(-elapsed / self.memory)
         self._kept = max(self._kept, self.keep * min(wanted, self.largest))
         wanted = max(wanted, self._kept)
+        self._unseen = min(self.reflex * wanted, self.largest)
         if flags & SlipFlag.SLIPPING or probability > (0.4 if guess else self.alarm):
             if stamp - self._alarmed > self.patience:
                 self._alarmed, self._reflex = stamp, self.reflex * normal
@@ -170,11 +179,18 @@ class SlipGrip:
         fall = 0.0 if doubted else self.fall if guess else 4.0 * self.fall
         change = min(max(wanted - self.force, -fall * elapsed), self.rise * elapsed)
         self.force += change
+        self._seen = self.force
         # In slip the tangential force follows the grip, in a hold it does not: asking tells which.
         up = (stamp * self.dither_rate) % 1.0 < 0.5
         down = 0.0 if doubted else -self.dither
         ask = (self.dither if up else down) if guess else 0.0
         return min(max(self.force * (1.0 + ask), self.smallest), self.largest)
+
+    def on_silence(self) -> float:
+        """Force to grip with (N) while no ContactSlip has come for STALE_AFTER: `reflex` times what
+        the last load needs, as it may grow unseen, until the next one comes."""
+        self.force = max(self.force, self._unseen)
+        return self.force
 
 
 @dataclass(frozen=True)
@@ -224,7 +240,7 @@ def hold(
     force = speed = slid = 0.0
     command = fixed
     commands = deque([fixed] * round(delay / step))
-    ratios = []
+    ratios, heard_at = [], 0.0
     for i in range(int(11.0 / step)):
         time = i * step - 1.0
         mass = float(np.interp(time, [0.5, 1.0, 2.0, 8.0], [1e-3, 0.05, 0.05, 0.35]))
@@ -256,6 +272,9 @@ def hold(
                     found.flags,
                     found.slip_margin_stddev,
                 )
+                heard_at = time
+        if controller is not None and time > heard_at + STALE_AFTER:
+            command = controller.on_silence()
         if time > 9.0:
             ratios.append(force * friction / load)
     return Outcome(False, slid, float(np.mean(ratios)))
@@ -324,6 +343,13 @@ def simulate_loads() -> None:
             for seed in range(3)
         ]
         told(f"{rate:g} samples a second", grips)
+    for begin in (3.0, 4.3, 6.0):
+        grips = [
+            hold(SlipGrip(force=2.0), friction, seed, silent=(begin, begin + 1.2))
+            for friction in (0.25, 0.35, 0.5, 0.7, 1.0)
+            for seed in range(3)
+        ]
+        told(f"no samples for 1.2 s from {begin:g} s on", grips)
     for delay in (0.02, 0.03, 0.05):
         grips = [hold(SlipGrip(force=2.0), 0.25, seed, delay=delay) for seed in range(4)]
         told(f"friction 0.25, dead time {1e3 * delay:g} ms", grips)
@@ -349,39 +375,69 @@ def run_node() -> None:
     publisher = node.create_publisher(Float64, "grip_force", 1)
     # A steady clock: what is stale must not depend on a clock that may stop or be set.
     steady = rclpy.clock.Clock(clock_type=rclpy.clock.ClockType.STEADY_TIME)
-    received, stale, doubted = steady.now(), False, False
 
-    def watch() -> None:
-        """Hold the force while nothing comes: a gripper that hears nothing may let go."""
-        nonlocal stale
-        if (steady.now() - received).nanoseconds * 1e-9 <= STALE_AFTER:
-            return
-        force = controller.force
-        if not stale:
-            stale = True
-            what = "no grip" if math.isnan(force) else f"holding {force:.2f} N"
-            node.get_logger().info(f"{what}: no contact_slip comes")
+    def now() -> float:
+        return steady.now().nanoseconds * 1e-9
+
+    received = silent = now()
+    present: set[str] = set()
+    log = node.get_logger()
+
+    def tell(what: str, text: str) -> None:
+        """Log a state, once."""
+        if what not in present:
+            present.add(what)
+            log.warning(text)
+
+    def end(what: str, text: str) -> None:
+        """Log that a state has ended that was told."""
+        if what in present:
+            present.remove(what)
+            log.info(text)
+
+    def command(force: float) -> None:
         if not math.isnan(force):
             publisher.publish(Float64(data=force))
 
-    def tell_doubt(force: float, begins: bool) -> None:
-        log, why = node.get_logger(), "the zero of the force is in doubt (FORCE_OFFSET)"
-        if begins and doubted:
-            log.warning(
-                f"begins with {force:.2f} N as measured, but {why}: if more holds the object, give "
-                "it as the parameter 'force'"
-            )
-        elif doubted:
-            log.warning(f"does not loosen its grip of {force:.2f} N: {why}")
+    def watch() -> None:
+        """Tell the force while nothing comes: a gripper that hears nothing may let go."""
+        nonlocal silent
+        silence = now() - received
+        if silence <= STALE_AFTER:
+            return
+        silent = received + silence
+        force = controller.on_silence()
+        grips = not math.isnan(force)
+        what = f"holding {force:.2f} N" if grips else "no grip"
+        tell(
+            "silent" if grips else "no grip",
+            f"{what}: no contact_slip comes, or not every {1e3 * STALE_AFTER:.0f} ms, on "
+            f"{subscription.topic_name} (publishers: {subscription.get_publisher_count()})",
+        )
+        command(force)
+
+    def tell_state(state: ContactSlip, force: float, begins: bool) -> None:
+        """Log what keeps the grip from its work."""
+        end("no grip", "contact_slip comes")
+        if received - silent > SETTLED:
+            end("silent", "contact_slip comes again")
+        if math.isnan(state.slip_margin):
+            return
+        if state.slip_margin_stddev >= 1.0:
+            why = "the zero of the force is in doubt (FORCE_OFFSET)"
+            text = f"does not loosen its grip of {force:.2f} N: {why}"
+            if begins:
+                text = (
+                    f"begins with {force:.2f} N as measured, but {why}: if more holds the object, "
+                    "give it as the parameter 'force'"
+                )
+            tell("doubt", text)
         else:
-            log.info("the zero of the force is not in doubt any more")
+            end("doubt", "the zero of the force is not in doubt any more")
 
     def on_slip(state: ContactSlip) -> None:
-        nonlocal received, stale, doubted
-        received = steady.now()
-        if stale:
-            stale = False
-            node.get_logger().info("contact_slip comes")
+        nonlocal received
+        received = now()
         begins = math.isnan(controller.force)
         force = controller.on_slip(
             seconds(header_stamp(state)),
@@ -393,14 +449,11 @@ def run_node() -> None:
             state.flags,
             state.slip_margin_stddev,
         )
-        if not math.isnan(state.slip_margin) and (state.slip_margin_stddev >= 1.0) != doubted:
-            doubted = not doubted
-            tell_doubt(force, begins)
-        if not math.isnan(force):
-            publisher.publish(Float64(data=force))
+        command(force)
+        tell_state(state, force, begins)
 
     qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-    node.create_subscription(ContactSlip, "contact_slip", on_slip, qos)
+    subscription = node.create_subscription(ContactSlip, "contact_slip", on_slip, qos)
     node.create_timer(0.01, watch, clock=steady)
     try:
         rclpy.spin(node)

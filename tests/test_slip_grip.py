@@ -194,6 +194,30 @@ def empty_grip(
     return force
 
 
+@pytest.mark.parametrize(
+    ("friction", "seed", "begin"), [(0.5, 0, 4.3), (0.5, 2, 4.3), (0.7, 1, 4.3), (0.25, 0, 3.0)]
+)
+def test_a_load_that_grows_while_no_sample_comes_is_held(
+    example: Any, friction: float, seed: int, begin: float
+) -> None:
+    """With and without a known friction; the sensor is silent for 1.2 s."""
+    grip = example.SlipGrip(force=2.0)
+    found = example.hold(grip, friction, seed, silent=(begin, begin + 1.2))
+    assert not found.dropped and found.slid < 0.012 and found.force_ratio < 2.0, found
+
+
+@pytest.mark.parametrize("period", [0.12, 0.5])
+def test_silences_that_come_again_do_not_let_the_force_grow(example: Any, period: float) -> None:
+    """A guessed friction: 1 N is held at a load of 0.3 N."""
+    grip = example.SlipGrip(force=1.0)
+    state = (1.0, 0.4, 0.5, 0.02, 0.0, int(SlipFlag.FRICTION_ASSUMED))
+    forces = []
+    for i in range(200):
+        grip.on_slip(i * period, *state)
+        forces.append(grip.on_silence())
+    assert max(forces) < 1.6 * 2.1  # the load over the share that any skin carries is 2 N
+
+
 def test_a_load_that_swings_slides_little(example: Any) -> None:
     """By 30 %, as in the hand of a robot that walks; the friction is not known at first."""
     slid = []
@@ -241,6 +265,9 @@ def test_a_controller_that_starts_in_such_a_contact_with_its_force_drops_nothing
             if stamp > 5.0 and not self.again:
                 self.again, self.grip = True, example.SlipGrip(force=self.grip.force)
             return self.grip.on_slip(stamp, *state)
+
+        def on_silence(self) -> float:
+            return self.grip.on_silence()
 
     def sensor(time: float, wrench: list[float]) -> list[float]:
         return [*wrench[:2], wrench[2] + (1.6 if time > 5.0 else 0.0)]
@@ -310,12 +337,29 @@ def test_the_node_holds_its_force_while_no_state_comes(
     commands = peer.commands
     child = process(project_root / EXAMPLE, "--node", "--ros-args", "-r", "__ns:=/finger")
     wait_until(lambda: len(commands) > 10, "an answer", spin=peer.send)
-    said = "holding 2.0"
+    said = "holding 3.3"  # N, 1.6 times what the load needs
     wait_until(lambda: said in child.output.read_text(), said, spin=peer.receive)
     held = len(commands)
     wait_until(lambda: len(commands) > held + 20, "the force again and again", spin=peer.receive)
-    assert len(set(commands[held:])) == 1 and commands[-1] == pytest.approx(2.0, abs=0.1)
-    wait_until(lambda: "contact_slip comes" in child.output.read_text(), "its end", spin=peer.send)
+    assert len(set(commands[held:])) == 1 and commands[-1] == pytest.approx(3.3, abs=0.1)
+    said = "contact_slip comes again"
+    wait_until(lambda: said in child.output.read_text(), said, spin=peer.send)
+
+
+def test_the_node_tells_a_slow_contact_slip_once(
+    peer: Peer, process: Callable[..., Any], project_root: Path
+) -> None:
+    commands = peer.commands
+    child = process(project_root / EXAMPLE, "--node", "--ros-args", "-r", "__ns:=/finger")
+    wait_until(lambda: len(commands) > 10, "an answer", spin=peer.send)
+    for _ in range(5):
+        peer.send()
+        before = len(commands)
+        repeated = lambda: len(commands) > before + 5  # noqa: B023, E731
+        wait_until(repeated, "the force, repeated", spin=peer.receive)
+    said = child.output.read_text()
+    assert said.count("holding") == 1 and "comes again" not in said, said
+    assert "on /finger/contact_slip (publishers: 1)" in said
 
 
 def test_the_node_says_that_the_force_it_begins_with_is_in_doubt(
