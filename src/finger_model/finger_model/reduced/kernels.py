@@ -251,9 +251,12 @@ def _add_rows(values, weights, out):
         j += 1
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _activate(gain, bias, layer):
-    """v / sqrt(1 + v²) with v = gain · value + bias of each value, in place."""
+    """v / sqrt(1 + v²) with v = gain · value + bias of each value, in place.
+
+    No divisor can be 0: without looking at each, several values are computed at a time.
+    """
     for o in range(len(layer)):
         v = gain[o] * layer[o] + bias[o]
         layer[o] = v / math.sqrt(1.0 + v * v)
