@@ -33,6 +33,9 @@ SAFE = 0.15
 LET_GO = 0.5
 """s of states without a known slip after which an object counts as let go."""
 
+LEAST = 1e-3
+"""N; no force is compared with less."""
+
 EMPTY = 0.1
 """N; a force below it, either way, is that of an empty grip."""
 
@@ -45,6 +48,13 @@ STALE_AFTER = 0.1
 
 SETTLED = 1.0
 """s without such a silence after which contact_slip counts as coming again."""
+
+FOLLOWING, AMISS = 1.0, 0.1
+"""s over which the measured force is averaged over the commanded one, and the share by which it may
+differ: less than the margin."""
+
+ENOUGH = 0.9
+"""Share of `largest` below which the load needs no more than that again."""
 
 
 @dataclass
@@ -67,8 +77,9 @@ class SlipGrip:
 
     `force` is the force to grip with (N); it begins with the first one measured (NaN), for an
     object that is held already. Once an object was let go it is the one given here again, or else
-    `smallest`, so that no large force waits for the next touch. Raises ValueError for settings that
-    cannot be.
+    `smallest`, so that no large force waits for the next touch. `needed` is what the load may need
+    (N), `short` tells whether that is more than `largest`, `follows` is the mean measured force
+    over `force`. Raises ValueError for settings that cannot be.
     """
 
     margin: float = 0.2
@@ -88,6 +99,9 @@ class SlipGrip:
     dither_rate: float = 12.0
     largest_step: float = 0.02
     force: float = math.nan
+    needed: float = field(default=0.0, init=False)
+    short: bool = field(default=False, init=False)
+    follows: float = field(default=1.0, init=False)
     _stamp: float = field(default=-math.inf, init=False)
     _alarmed: float = field(default=-math.inf, init=False)
     _reflex: float = field(default=0.0, init=False)
@@ -141,6 +155,7 @@ class SlipGrip:
             self._open_since = min(self._open_since, stamp) if empty else math.inf
             if self._released and stamp - self._open_since > LET_GO:
                 self.force, self._unseen = self._first, 0.0
+                self.follows = 1.0
             return self.force
         self._open_since = math.inf
         if math.isnan(self.force):
@@ -150,6 +165,8 @@ class SlipGrip:
         self._known = stamp
         guess, doubted = bool(flags & SlipFlag.FRICTION_ASSUMED), margin_sd >= 1.0
         self._released = not doubted and normal < RELEASED * self.force
+        if not doubted:
+            self.follows += (normal / max(self.force, LEAST) - self.follows) * elapsed / FOLLOWING
         # |Q|: the margin is the mean over all frictions that may be, whose spread makes it smaller.
         spread = 1.0 + (friction_sd / friction) ** 2
         load = (1.0 - slip_margin) * friction * normal / spread
@@ -162,14 +179,15 @@ class SlipGrip:
         else:
             # After a silence: back to the ratio that held before.
             self.force = min(self.force, max(self._seen, load / self._ratio))
-            self._base, self._ratio = None, max(load / self.force, SAFE)
+            self._base, self._ratio = None, max(load / max(self.force, LEAST), SAFE)
         if guess and not doubted:
             if load > 0.9 * self._tried * normal:
                 self._tried *= 1.0 + self.explore * elapsed
             wanted = max(wanted, load / self._tried)
         self._kept *= math.exp(-elapsed / self.memory)
         self._kept = max(self._kept, self.keep * min(wanted, self.largest))
-        wanted = max(wanted, self._kept)
+        self.needed = wanted = max(wanted, self._kept)
+        self.short = wanted > (ENOUGH if self.short else 1.0) * self.largest
         self._unseen = min(self.reflex * wanted, self.largest)
         if flags & SlipFlag.SLIPPING or probability > (0.4 if guess else self.alarm):
             if stamp - self._alarmed > self.patience:
@@ -182,7 +200,7 @@ class SlipGrip:
         self._seen = self.force
         # In slip the tangential force follows the grip, in a hold it does not: asking tells which.
         up = (stamp * self.dither_rate) % 1.0 < 0.5
-        down = 0.0 if doubted else -self.dither
+        down = 0.0 if doubted or self.short else -self.dither
         ask = (self.dither if up else down) if guess else 0.0
         return min(max(self.force * (1.0 + ask), self.smallest), self.largest)
 
@@ -434,6 +452,22 @@ def run_node() -> None:
             tell("doubt", text)
         else:
             end("doubt", "the zero of the force is not in doubt any more")
+        if controller.short:
+            tell(
+                "short",
+                f"the load may need {controller.needed:.1f} N, more than 'largest', "
+                f"{controller.largest:g} N: it may slip",
+            )
+        else:
+            end("short", "'largest' is enough again")
+        if abs(controller.follows - 1.0) > AMISS:
+            tell(
+                "amiss",
+                f"the measured force is {controller.follows:.2f} of the commanded one: the grip "
+                "may slip, or grow to 'largest'; check gripper, sensor and scale of grip_force",
+            )
+        elif abs(controller.follows - 1.0) < 0.5 * AMISS:
+            end("amiss", "the measured force is the commanded one again")
 
     def on_slip(state: ContactSlip) -> None:
         nonlocal received

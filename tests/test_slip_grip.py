@@ -206,6 +206,14 @@ def test_a_load_that_grows_while_no_sample_comes_is_held(
     assert not found.dropped and found.slid < 0.012 and found.force_ratio < 2.0, found
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_what_the_largest_force_just_holds_is_held(example: Any, seed: int) -> None:
+    """Where only that force holds it, the grip asks for no slip by less."""
+    grip = example.SlipGrip(force=1.5, largest=1.75)
+    found = example.hold(grip, 1.0, seed)
+    assert grip.short and not found.dropped and found.slid < 0.005, found
+
+
 @pytest.mark.parametrize("period", [0.12, 0.5])
 def test_silences_that_come_again_do_not_let_the_force_grow(example: Any, period: float) -> None:
     """A guessed friction: 1 N is held at a load of 0.3 N."""
@@ -360,6 +368,20 @@ def test_the_node_tells_a_slow_contact_slip_once(
     said = child.output.read_text()
     assert said.count("holding") == 1 and "comes again" not in said, said
     assert "on /finger/contact_slip (publishers: 1)" in said
+
+
+def test_the_node_says_that_the_load_needs_more_than_it_may_give(
+    peer: Peer, process: Callable[..., Any], project_root: Path
+) -> None:
+    peer.state.normal_force = 12.0
+    child = process(project_root / EXAMPLE, "--node", "--ros-args", "-r", "__ns:=/finger")
+    said = "the load may need 12.5 N, more than 'largest', 10 N"
+    wait_until(lambda: said in child.output.read_text(), said, spin=peer.send)
+    said = "the measured force is 1.1"
+    wait_until(lambda: said in child.output.read_text(), said, spin=peer.send)
+    peer.state.normal_force = 8.0
+    said = "'largest' is enough again"
+    wait_until(lambda: said in child.output.read_text(), said, spin=peer.send)
 
 
 def test_the_node_says_that_the_force_it_begins_with_is_in_doubt(
