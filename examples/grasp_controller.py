@@ -32,6 +32,8 @@ INVALID_FLAGS = BLIND_FLAGS | StateFlag.TIME_RESET | StateFlag.FORCE_OFFSET
 is held, without a camera, cannot tell that force from a tare (FORCE_OFFSET): no reason to open.
 """
 
+STALE = "contact state is stale"
+
 DOUBT = 0.3
 """Of the full speed, while the model is not yet that of this finger (MODEL_MISMATCH)."""
 
@@ -96,6 +98,7 @@ class AreaController:
         area_stddev: m²; slope: m²/N.
         """
         self.watch(received)
+        slow = received - self._received > self.stale_after
         self._received = received
         elapsed = min(max(stamp - self._stamp, 0.0), self.largest_step)
         self._stamp = stamp
@@ -106,7 +109,8 @@ class AreaController:
             if received - self._bad_since > self.open_after:
                 self.force = 0.0
             self._air_since = math.inf
-            return self._hold(f"contact state not valid (flags {flags})")
+            # States that come slowly are stale before each: told once, not before and after each.
+            return self._hold(STALE if slow else f"contact state not valid (flags {flags})")
         in_air = not in_contact or area == 0
         self._air_since = min(self._air_since, stamp) if in_air else math.inf
         lost = stamp - self._air_since >= self.lost_after
@@ -137,7 +141,7 @@ class AreaController:
     def watch(self, now: float) -> float:
         """Force to press with (N) at `now` (s, on the clock of `received`); holds when stale."""
         if now - self._received > self.stale_after:
-            self._hold("contact state is stale")
+            self._hold(STALE)
         return self.force
 
     def _hold(self, reason: str) -> float:
@@ -174,7 +178,10 @@ def main() -> None:
         publisher.publish(Float64(data=force))
         if controller.reason != logged:
             logged = controller.reason
-            node.get_logger().info(f"holding {force:.2f} N: {logged}" if logged else "pressing")
+            where = f"{subscription.topic_name}, publishers: {subscription.get_publisher_count()}"
+            node.get_logger().info(
+                f"holding {force:.2f} N: {logged} ({where})" if logged else "pressing"
+            )
 
     def on_state(state: ContactState) -> None:
         stamp = seconds(header_stamp(state))
@@ -183,7 +190,7 @@ def main() -> None:
 
     # Only the newest state matters to a controller.
     qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-    node.create_subscription(ContactState, "contact_state", on_state, qos)
+    subscription = node.create_subscription(ContactState, "contact_state", on_state, qos)
     node.create_timer(0.01, lambda: command(controller.watch(now())), clock=steady)
     try:
         rclpy.spin(node)

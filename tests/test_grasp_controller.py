@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from waiting import wait_until
 
 from finger_common.flags import FORCE_ALONE, StateFlag
 from finger_common.stamps import fill_time, header_stamp
@@ -126,6 +127,26 @@ def test_it_holds_on_stale_states_and_waits_before_it_goes_on(example: Any) -> N
     assert held == force
     further, at = run(controller, 0.5, at)
     assert further > force
+
+
+def test_the_reason_does_not_change_with_each_state_that_comes_slowly(example: Any) -> None:
+    controller = example.AreaController(TARGET)
+    flags, reasons = int(StateFlag.FORCE_OFFSET), []
+    for i in range(1, 6):
+        controller.on_state(0.1 * i, 0.1 * i, 20e-6, 40e-6, True, flags)
+        reasons.append(controller.reason)
+        controller.watch(0.1 * i + 0.09)
+        reasons.append(controller.reason)
+    assert set(reasons) == {"contact state is stale"}
+
+
+def test_the_node_says_on_which_topic_no_state_comes(
+    ros_domain: int, process: Callable[..., Any], project_root: Path
+) -> None:
+    controller = project_root / "examples" / "grasp_controller.py"
+    child = process(controller, "--ros-args", "-r", "__ns:=/thumb")
+    said = "holding 0.00 N: contact state is stale (/thumb/contact_state, publishers: 0)"
+    wait_until(lambda: said in child.output.read_text(), said)
 
 
 def test_a_large_force_does_not_wait_for_the_touch_after_a_hole_in_the_states(
