@@ -23,6 +23,7 @@ from finger_common.files import user_path
 from finger_common.folder_lock import lock_folder
 from finger_common.guided_presses import CALIBRATION_PRESSES
 from finger_common.namespaces import DEFAULT_NAMESPACE, default_folder
+from finger_common.parameters import NOT_HERE
 from finger_common.subject_code import FINGERS, check_subject, parameter_file_name
 from finger_model.anthropometry import FINGERS as FINGER_NAMES
 from finger_model.anthropometry import parse_length, session_geometry
@@ -319,8 +320,12 @@ def reach_line() -> str:
     )
 
 
+_UNKNOWN = re.compile(rf"\[([\w.]+)\]: {NOT_HERE.format('([^ ]+)')}")
+
+
 class ReadyLine:
-    """Finds in the nodes' output that all are ready, and where their pages are.
+    """Finds in the nodes' output that all are ready, where their pages are, and which parameters
+    they do not have.
 
     pages: number of operator's pages among the nodes; fingers have one each.
     """
@@ -330,12 +335,17 @@ class ReadyLine:
         self._addresses: dict[str, str] = {}
         self._refused: dict[str, str] = {}
         """Why a page is not served."""
+        self.unknown: dict[tuple[str, str], str] = {}
+        """Sentences about (node, parameter) that a node does not have, by the node's full name."""
         self._active = False
 
     def take(self, text: str) -> str:
         """One line of output; returns what to print when it makes the rig ready, else ""."""
         found = re.search(r"(?:\[([\w.]*?)\.?page\]:? )?operator's page: (\S+)", text)
         refused = re.search(r"\[([\w.]*?)\.?page\]:? (?:configure|activate) failed: (.+)", text)
+        unknown = _UNKNOWN.search(text)
+        if unknown:
+            self.unknown["/" + unknown[1].replace(".", "/"), unknown[2]] = text
         if found:
             self._addresses[found[1] or ""] = found[2]
             self._refused.pop(found[1] or "", None)
@@ -365,10 +375,16 @@ def _up(arguments: argparse.Namespace) -> int:
     boards, devices = nodes.simulated_boards(fingers(arguments) if arguments.simulated else ())
     chosen = entries(arguments, devices)
     lock = lock_folder(folder, "a rig")
-    names = namespace_of(arguments), ParameterFile(arguments.parameters)
-    _warn(chosen, *names)
+    namespace, file = namespace_of(arguments), ParameterFile(arguments.parameters)
+    _warn(chosen, namespace, file)
+    running = [entry.full_name(namespace) for entry in chosen]
     specs = boards + nodes.process_specs(
-        chosen, folder, *names, compose=arguments.compose, realtime=arguments.realtime
+        chosen,
+        folder,
+        namespace,
+        file,
+        compose=arguments.compose,
+        realtime=arguments.realtime,
     )
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     ready = ReadyLine(sum(entry.name == "page" for entry in chosen))
@@ -381,6 +397,9 @@ def _up(arguments: argparse.Namespace) -> int:
         news = ready.take(text)
         if news:
             print(f"finger-rig: {news}", flush=True)
+            idle = file.unknown_parameters(running, ready.unknown)
+            if idle:
+                print(f"finger-rig: {file.path}: without effect: {', '.join(idle)}", flush=True)
 
     supervisor = Supervisor(specs, line)
     run_until_interrupted(supervisor)

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -54,6 +54,24 @@ class ParameterFile:
                 values.update(section)
         return values
 
+    def unknown_parameters(
+        self, nodes: Collection[str], unknown: Mapping[tuple[str, str], str]
+    ) -> list[str]:
+        """Its parameters that none of the nodes which they are set for has, with what was meant.
+
+        nodes: full names of those that run. unknown: (node, parameter) that a node does not have,
+        and the sentence about it. A parameter of a section of several nodes may be of one of them.
+        """
+        found = []
+        for pattern, section in self.sections.items():
+            own = [node for node in nodes if matches(pattern, node)]
+            for name in _names(section):
+                if own and all((node, name) in unknown for node in own):
+                    meant = re.search(r"did you mean '[^']*'\?", unknown[own[0], name])
+                    note = f" ({meant[0]})" if meant and len(own) == 1 else ""
+                    found.append(f"'{name}' of '{pattern}'{note}")
+        return found
+
 
 NO_PARAMETER_FILE = ParameterFile(None)
 
@@ -67,6 +85,15 @@ def _below_namespaces(data: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
                 yield f"{name}".rstrip("/") + "/" + f"{below}".lstrip("/"), found
         else:
             yield name, section
+
+
+def _names(section: Mapping[str, Any], before: str = "") -> Iterator[str]:
+    """Names of a section's parameters; a mapping holds those that begin with its key."""
+    for key, value in section.items():
+        if isinstance(value, dict):
+            yield from _names(value, f"{before}{key}.")
+        else:
+            yield f"{before}{key}"
 
 
 def _check_values(values: Mapping[str, Any], where: str) -> None:

@@ -23,6 +23,7 @@ from finger_bringup.restarts import RestartDelay
 from finger_common.errors import InputError
 from finger_common.folder_lock import lock_folder
 from finger_common.namespaces import default_folder
+from finger_common.parameters import NOT_HERE
 from finger_sim.addresses import RigAddresses
 
 
@@ -387,6 +388,30 @@ def test_a_rig_whose_page_is_refused_is_not_called_ready() -> None:
         ready = ReadyLine(pages=1)
         assert [ready.take(line) for line in lines] == ["", told]
         assert ready.take(served) == "all ready: page at http://127.0.0.1:8080/"
+
+
+def test_parameters_that_no_node_has_are_named_when_the_rig_is_ready(tmp_path: Path) -> None:
+    path = tmp_path / "rig.yaml"
+    path.write_text(
+        "/**/protocol:\n  ros__parameters: {trails: 5, trials: 5}\n"
+        "/**:\n  ros__parameters: {normal_axis: +z, qos: {dept: 3}}\n"
+        "/thumb/protocol:\n  ros__parameters: {trail: 5}\n"
+    )
+    ready = ReadyLine(pages=1)
+    for node, name, known in (
+        ("protocol", "trails", "did you mean 'trials'? Known are trials, subject"),
+        ("protocol", "qos.dept", "known are trials, subject"),
+        ("camera", "normal_axis", "known are path"),
+        ("camera", "qos.dept", "did you mean 'qos_depth'? Known are path"),
+    ):
+        said = f"[WARN] [1.0] [finger.{node}]: {NOT_HERE.format(name)}; {known}"
+        assert ready.take(said) == ""
+    file = ParameterFile(path)
+    assert file.unknown_parameters(["/finger/protocol", "/finger/camera"], ready.unknown) == [
+        "'trails' of '/**/protocol' (did you mean 'trials'?)",
+        "'qos.dept' of '/**'",
+    ]
+    assert file.unknown_parameters(["/finger/protocol"], {}) == []
 
 
 def test_the_ready_line_names_the_pages_of_all_fingers() -> None:

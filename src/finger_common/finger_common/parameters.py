@@ -26,6 +26,9 @@ _TYPES = {
     list: "list is needed; put it in [ ]",
 }
 
+NOT_HERE = "parameter '{}' does not exist here"
+"""Begins a node's sentence about a parameter of a file that it does not have."""
+
 _EXPONENT = re.compile(r"[-+]?[0-9]+[eE][-+]?[0-9]+")
 """Numbers such as 1e6, which YAML 1.1 reads as text."""
 

@@ -39,7 +39,7 @@ from ..cli import one_line
 from ..diagnostics import ERROR, WARN, Health, full_node_name
 from ..errors import FingerError, InputError, known_names
 from ..host_clock import HostClock
-from ..parameters import ParameterTable
+from ..parameters import NOT_HERE, ParameterTable
 from ..plugins import PluginKind
 from ..settings import S, Settings, parameters_of, setting
 from .described import descriptor_of, ros_value, type_of
@@ -211,7 +211,7 @@ class ManagedNode(LifecycleNode):
 
     def _no_such_parameter(self, name: str) -> str:
         known = known_names(name, (parameter.name for parameter in self._all))
-        return f"parameter '{name}' does not exist here; {known}"
+        return f"{NOT_HERE.format(name)}; {known}"
 
     def read_parameters(self) -> dict[str, Any]:
         """Checked values of all parameters; raises InputError."""
