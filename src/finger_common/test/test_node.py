@@ -192,6 +192,17 @@ def test_parameter_file_that_is_not_yaml_ends_with_one_sentence(
     assert "bad.yaml" in output and "Traceback" not in output
 
 
+def test_a_wrong_value_of_a_parameter_of_ros_ends_with_one_sentence(
+    ros_domain: int, process: Any, tmp_path: Path
+) -> None:
+    script = tmp_path / "gauge.py"
+    script.write_text(NODE)
+    child = process(script, "--ros-args", "-p", "use_sim_time:='yes'")
+    assert child.wait(60) == 2
+    output = child.output.read_text()
+    assert "gauge: " in output and "'use_sim_time'" in output and "Traceback" not in output
+
+
 CLOCK = "import sys, time\ntime.time_ns = lambda now=int(sys.argv.pop(1)): now * 10**9\n"
 
 

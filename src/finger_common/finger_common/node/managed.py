@@ -26,7 +26,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
-from rclpy.exceptions import ParameterException
+from rclpy.exceptions import InvalidParameterTypeException, ParameterException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter as RosParameter
@@ -121,7 +121,11 @@ class ManagedNode(LifecycleNode):
         return parameters_of(NodeSettings, *plugins, *cls.SETTINGS)
 
     def __init__(self, **options: Any) -> None:
-        super().__init__(self.NAME, **options)
+        try:
+            super().__init__(self.NAME, **options)
+        except InvalidParameterTypeException as error:
+            # Of a parameter of ROS itself, such as use_sim_time.
+            raise InputError(f"{one_line(error)}; correct the parameter") from None
         self.healths: list[Health] = []
         self.values: dict[str, Any] = {}
         self.exit_code = 0
