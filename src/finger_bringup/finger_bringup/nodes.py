@@ -396,16 +396,21 @@ def settled(
 ) -> list[NodeEntry]:
     """The entries with each default that the user's file does not set among their parameters.
 
-    Frames have names of their own in each namespace but the usual one. Raises InputError for a
-    namespace that ROS does not take.
+    Frames, and cameras whose calibration is found by their name, have names of their own in each
+    namespace but the usual one. Raises InputError for a namespace that ROS does not take.
     """
     check_namespace(namespace)
     result = []
     for entry in entries:
         prefix = own_name(entry.namespace(namespace), "/")
-        if prefix and entry.name in FRAMED:
-            entry = replace(entry, defaults={"frame_prefix": f"{prefix}/", **entry.defaults})
         set_there = parameter_file.values_of(entry.full_name(namespace))
+        own: dict[str, Any] = {}
+        if prefix and entry.name in FRAMED:
+            own["frame_prefix"] = f"{prefix}/"
+        if prefix and entry.name == "camera":
+            if not {**set_there, **entry.parameters}.get("camera_info_url"):
+                own["camera_name"] = f"{prefix.replace('/', '_')}_camera"
+        entry = replace(entry, defaults={**own, **entry.defaults})
         free = {key: value for key, value in entry.defaults.items() if key not in set_there}
         result.append(replace(entry, parameters={**free, **entry.parameters}, defaults={}))
     return result

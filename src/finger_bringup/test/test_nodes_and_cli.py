@@ -224,6 +224,10 @@ def test_fingers_have_folders_and_frames_of_their_own(tmp_path: Path) -> None:
     for name in nodes.FRAMED:
         assert written(tmp_path)[name]["frame_prefix"] == "hand/thumb/"
     assert "frame_prefix" not in written(tmp_path).get("model", {})
+    # Two cameras of one name would read, and overwrite, one calibration.
+    assert written(tmp_path)["camera"]["camera_name"] == "hand_thumb_camera"
+    nodes.process_specs(nodes.rig(tmp_path, simulated=True), tmp_path, "hand/thumb")
+    assert "camera_name" not in written(tmp_path)["camera"]  # its calibration is named by its path
 
 
 def test_an_option_of_the_command_is_the_last_word(tmp_path: Path) -> None:
