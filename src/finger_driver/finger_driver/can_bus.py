@@ -254,14 +254,27 @@ def open_bus(
         if interface == "socketcan":
             # Set with `ip link`; as an argument it would be ignored.
             arguments.pop("bitrate", None)
-        return can.Bus(interface=interface, channel=channel or None, **arguments)
+        bus = can.Bus(interface=interface, channel=channel or None, **arguments)
     except (TypeError, ValueError) as error:
         raise InputError(f"can bus {where}: {error}; correct can_channel or can_options") from None
     except (*BUS_ERRORS, ImportError, NotImplementedError) as error:
+        look = f" and `ip link show {channel}`" if interface == "socketcan" else " and can_channel"
         raise DeviceError(
-            f"can bus {where} does not open ({error}); check the cable, the driver and "
-            f"`ip link show {channel or 'can0'}`"
+            f"can bus {where} does not open ({error}); check the cable, the driver{look}"
         ) from None
+    # Of an adapter on a serial port. Another program there, such as the driver of a probe, would
+    # take a part of the replies.
+    port = getattr(bus, "serialPortOrig", None)
+    if port is not None:
+        try:
+            port.exclusive = True
+        except OSError:
+            bus.shutdown()
+            raise DeviceError(
+                f"can bus {where}: the port is in use by another program or node; correct "
+                "can_channel, or end the other"
+            ) from None
+    return bus
 
 
 def discard_waiting(bus: can.BusABC) -> None:

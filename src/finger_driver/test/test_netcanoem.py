@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 import threading
 import time
@@ -734,3 +735,22 @@ def test_host_multicast_bus_understands_python_cans_own(free_port: object) -> No
     finally:
         ours.shutdown()
         theirs.shutdown()
+
+
+def test_an_adapter_on_a_serial_port_that_another_driver_reads_is_refused() -> None:
+    """Both would take a part of what comes, and neither could say why."""
+    serial = pytest.importorskip("serial")
+    master, slave = os.openpty()
+    name = os.ttyname(slave)
+    probe = serial.Serial(name, exclusive=True)
+    at_once = {"sleep_after_open": 0}
+    with pytest.raises(DeviceError, match=f"slcan {name}: the port is in use by another program"):
+        open_bus("slcan", name, options=at_once)
+    probe.close()
+    bus = open_bus("slcan", name, options=at_once)
+    with pytest.raises(serial.SerialException, match="exclusively lock"):
+        serial.Serial(name, exclusive=True)
+    bus.shutdown()
+    serial.Serial(name, exclusive=True).close()
+    os.close(master)
+    os.close(slave)
