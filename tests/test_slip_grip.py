@@ -339,61 +339,65 @@ def peer(ros_domain: int) -> Iterator[Peer]:
     rclpy.try_shutdown()
 
 
-def test_the_node_holds_its_force_while_no_state_comes(
-    peer: Peer, process: Callable[..., Any], project_root: Path
-) -> None:
+class GripNode:
+    """The node as a process, and what it has said."""
+
+    def __init__(self, child: Any) -> None:
+        self.output: Path = child.output
+
+    def says(self, text: str, spin: Callable[[], None]) -> None:
+        """Wait until it has said this; `spin` is called meanwhile."""
+        wait_until(lambda: text in self.output.read_text(), text, spin=spin)
+
+
+@pytest.fixture
+def grip_node(process: Callable[..., Any], project_root: Path) -> GripNode:
+    arguments = "--node", "--ros-args", "-r", "__ns:=/finger"
+    return GripNode(process(project_root / EXAMPLE, *arguments))
+
+
+def test_the_node_holds_its_force_while_no_state_comes(peer: Peer, grip_node: GripNode) -> None:
     commands = peer.commands
-    child = process(project_root / EXAMPLE, "--node", "--ros-args", "-r", "__ns:=/finger")
     wait_until(lambda: len(commands) > 10, "an answer", spin=peer.send)
-    said = "holding 3.3"  # N, 1.6 times what the load needs
-    wait_until(lambda: said in child.output.read_text(), said, spin=peer.receive)
+    grip_node.says("holding 3.3", peer.receive)  # N, 1.6 times what the load needs
     held = len(commands)
     wait_until(lambda: len(commands) > held + 20, "the force again and again", spin=peer.receive)
     assert len(set(commands[held:])) == 1 and commands[-1] == pytest.approx(3.3, abs=0.1)
-    said = "contact_slip comes again"
-    wait_until(lambda: said in child.output.read_text(), said, spin=peer.send)
+    grip_node.says("contact_slip comes again", peer.send)
 
 
-def test_the_node_tells_a_slow_contact_slip_once(
-    peer: Peer, process: Callable[..., Any], project_root: Path
-) -> None:
+def test_the_node_tells_a_slow_contact_slip_once(peer: Peer, grip_node: GripNode) -> None:
     commands = peer.commands
-    child = process(project_root / EXAMPLE, "--node", "--ros-args", "-r", "__ns:=/finger")
     wait_until(lambda: len(commands) > 10, "an answer", spin=peer.send)
     for _ in range(5):
         peer.send()
         before = len(commands)
         repeated = lambda: len(commands) > before + 5  # noqa: B023, E731
         wait_until(repeated, "the force, repeated", spin=peer.receive)
-    said = child.output.read_text()
+    said = grip_node.output.read_text()
     assert said.count("holding") == 1 and "comes again" not in said, said
     assert "on /finger/contact_slip (publishers: 1)" in said
 
 
 def test_the_node_says_that_the_load_needs_more_than_it_may_give(
-    peer: Peer, process: Callable[..., Any], project_root: Path
+    peer: Peer, grip_node: GripNode
 ) -> None:
     peer.state.normal_force = 12.0
-    child = process(project_root / EXAMPLE, "--node", "--ros-args", "-r", "__ns:=/finger")
-    said = "the load may need 12.5 N, more than 'largest', 10 N"
-    wait_until(lambda: said in child.output.read_text(), said, spin=peer.send)
-    said = "the measured force is 1.1"
-    wait_until(lambda: said in child.output.read_text(), said, spin=peer.send)
+    grip_node.says("the load may need 12.5 N, more than 'largest', 10 N", peer.send)
+    grip_node.says("the measured force is 1.1", peer.send)
     peer.state.normal_force = 8.0
-    said = "'largest' is enough again"
-    wait_until(lambda: said in child.output.read_text(), said, spin=peer.send)
+    grip_node.says("'largest' is enough again", peer.send)
 
 
 def test_the_node_says_that_the_force_it_begins_with_is_in_doubt(
-    peer: Peer, process: Callable[..., Any], project_root: Path
+    peer: Peer, grip_node: GripNode
 ) -> None:
     peer.state.slip_margin_stddev = 1.0
-    child = process(project_root / EXAMPLE, "--node", "--ros-args", "-r", "__ns:=/finger")
-    said = "begins with 2.00 N as measured, but the zero of the force is in doubt"
-    wait_until(lambda: said in child.output.read_text(), said, spin=peer.send)
+    grip_node.says(
+        "begins with 2.00 N as measured, but the zero of the force is in doubt", peer.send
+    )
     peer.state.slip_margin_stddev = 0.1
-    said = "not in doubt any more"
-    wait_until(lambda: said in child.output.read_text(), said, spin=peer.send)
+    grip_node.says("not in doubt any more", peer.send)
 
 
 @pytest.mark.parametrize("margin", [1.0, -0.1, 20.0, float("nan")])
