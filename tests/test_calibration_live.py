@@ -65,16 +65,21 @@ class Rig(ModelNodePeer):
         self.states += 1
 
     def settle(self, seconds: float = 0.5) -> None:
-        """Spin for messages that have no answer, once the node has them."""
+        """Spin for messages that have no answer, once the node has them: the middleware asks it
+        for that every 3 s."""
         for publisher in (self.trial, self.status, self.area, self.wrench):
             assert publisher.wait_for_all_acked(Duration(seconds=120))
         self.spin(seconds)
 
-    def announce(self, index: int, phase: TrialPhase, subject: str = "S01", note: str = "") -> None:
+    def say(self, index: int, phase: TrialPhase, subject: str = "S01", note: str = "") -> None:
         name = CALIBRATION_PRESSES[index].name
         message = Trial(session=f"{subject}_a", subject=subject, condition=name, index=index)
         message.phase, message.note = int(phase), note
         self.trial.publish(message)
+
+    def announce(self, *what: Any, **more: Any) -> None:
+        """`say`, and the node has it."""
+        self.say(*what, **more)
         self.settle()
 
     def sample(self, stamp: int, force: float) -> None:
@@ -102,6 +107,16 @@ class Rig(ModelNodePeer):
             self.sample(T0 + round((start + instant) * 1e9), float(value))
         self.until(lambda: self.states >= before + len(at))
         return start + float(at[-1]) + 2.0
+
+    def all_presses(self) -> float:
+        """The guided presses, one after the other; gives the end of the last."""
+        at = 1.0
+        for index in range(len(CALIBRATION_PRESSES)):
+            self.say(index, TrialPhase.PREPARE)
+            at = self.press(index, at)
+            self.say(index, TrialPhase.DONE)
+        self.settle()
+        return at
 
 
 @pytest.fixture
@@ -137,12 +152,7 @@ def test_the_model_node_calibrates_the_subject_of_the_trials(
     rig: Rig, process: Callable[..., Any], tmp_path: Path, calipers: dict[str, float]
 ) -> None:
     start_model(rig, process, tmp_path)
-    at = 1.0
-    for index in range(len(CALIBRATION_PRESSES)):
-        rig.announce(index, TrialPhase.PREPARE)
-        at = rig.press(index, at)
-        rig.settle()
-        rig.announce(index, TrialPhase.DONE)
+    at = rig.all_presses()
     if calipers:
         status = {"subject": "S01", "session": "S01_a", "plan": parameter_fields(calipers)}
         rig.status.publish(message_of(SessionStatus, status))
@@ -185,11 +195,7 @@ def test_what_cannot_be_kept_is_live_and_says_so(
 ) -> None:
     (tmp_path / "S01.yaml").mkdir()
     start_model(rig, process, tmp_path)
-    at = 1.0
-    for index in range(len(CALIBRATION_PRESSES)):
-        rig.announce(index, TrialPhase.PREPARE)
-        at = rig.press(index, at)
-        rig.announce(index, TrialPhase.DONE)
+    at = rig.all_presses()
     rig.announce(len(CALIBRATION_PRESSES) - 1, TrialPhase.IDLE)
     rig.until(lambda: rig.results)
     (result,) = rig.results
